@@ -1,0 +1,1 @@
+"""Built-in scenes: each module has `build(**parameters)` and `animate(scene, time)`."""

@@ -1,0 +1,1 @@
+"""Passes: what each stage reads, writes and when it is called for."""

@@ -1,0 +1,91 @@
+"""Settings: how accurately, not what. Each stage has one class with its `rung`; the neutral rung is always `off`."""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from .records import Record
+
+__all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
+
+
+class RasterSettings(Record):
+    """Visibility."""
+
+    bin_capacity: int = Field(1 << 20, ge=0, le=1 << 28)
+    """Entries in the per-tile lists of large triangles; what does not fit is drawn by the atomic path."""
+    large_capacity: int = Field(1 << 17, ge=0, le=1 << 26)
+    """Large triangles kept for binning; what does not fit is drawn by the atomic path."""
+    cull: Literal["back", "none", "front"] = "back"
+    """Which faces of one-sided materials are dropped."""
+
+
+class GBufferSettings(Record):
+    """What the resolve stores per pixel."""
+
+    rung: Literal["compact", "full"] = "compact"
+    """compact: 16 bytes a pixel; full: float32 everywhere."""
+    normal: Literal["rgb8", "xy16", "oct16", "oct24", "oct32", "float32"] = "oct24"
+    """Normal codec of the compact G-buffer; `full` always keeps float32."""
+
+
+class LightCullingSettings(Record):
+    """Which lights a tile considers."""
+
+    rung: Literal["tiles", "tiles_depth", "brute_force"] = "tiles_depth"
+    """2D tiles; tiles with depth bounds; every light everywhere (reference)."""
+    tile_size: Literal[8, 16, 32, 64] = 16
+    """Side of a screen tile [px]."""
+
+
+class ShadeSettings(Record):
+    """Lighting."""
+
+    radiance: Literal["half", "float32"] = "half"
+    """Format of the radiance behind `display`; `color` is float32 whenever it is asked for."""
+
+
+class DisplaySettings(Record):
+    """From radiance to the picture."""
+
+    tone_mapping: Literal["off", "reinhard", "aces", "pbr_neutral"] = "pbr_neutral"
+    """Curve from scene to display radiance."""
+
+
+class Settings(Record):
+    """All stages' settings, immutable; `Settings.parse(["display.tone_mapping=aces"])` reads the command line's form."""
+
+    raster: RasterSettings = RasterSettings()
+    """Visibility."""
+    gbuffer: GBufferSettings = GBufferSettings()
+    """G-buffer codecs."""
+    light_culling: LightCullingSettings = LightCullingSettings()
+    """Tiles and light masks."""
+    shade: ShadeSettings = ShadeSettings()
+    """Lighting."""
+    display: DisplaySettings = DisplaySettings()
+    """Tone mapping."""
+
+    def with_values(self, assignments: list[str]) -> Settings:
+        """Return a copy with `stage.field=value` assignments applied.
+
+        Raises:
+            InputError: If a stage, a field or a value is not known.
+        """
+        from .checks import check_choice, input_error
+
+        result = self
+        for text in assignments:
+            path, equals, value = text.partition("=")
+            stage, dot, field = path.strip().partition(".")
+            if not equals or not dot:
+                raise input_error("--set", "stage.field=value, such as light_culling.tile_size=32", text)
+            check_choice("Settings", stage, type(self).model_fields)
+            current: Any = getattr(result, stage)
+            check_choice(f"Settings.{stage}", field, type(current).model_fields)
+            word = value.strip()
+            number = int(word) if word.lstrip("-").isdigit() else word
+            result = result.replace(**{stage: current.replace(**{field: number})})
+        return result
