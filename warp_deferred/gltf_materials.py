@@ -54,9 +54,9 @@ class GltfMaterials:
         pbr_place = f"{place}/pbrMetallicRoughness"
         return Material(
             model="ggx",
-            base_color=tuple(pbr.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))),
-            metallic=pbr.get("metallicFactor", 1.0),
-            roughness=pbr.get("roughnessFactor", 1.0),
+            base_color=tuple(self._unit(v, place) for v in pbr.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))),
+            metallic=self._unit(pbr.get("metallicFactor", 1.0), place),
+            roughness=self._unit(pbr.get("roughnessFactor", 1.0), place),
             emissive=emissive,
             base_color_texture=self._texture(pbr.get("baseColorTexture"), f"{pbr_place}/baseColorTexture", True),
             metallic_roughness_texture=self._texture(
@@ -65,12 +65,19 @@ class GltfMaterials:
             # An emission factor of zero silences the texture: it is not even decoded.
             emissive_texture=self._texture(source.get("emissiveTexture") if glows else None, f"{place}/emissive", True),
             occlusion_texture=self._texture(occlusion, f"{place}/occlusionTexture", False),
-            occlusion_strength=1.0 if occlusion is None else occlusion.get("strength", 1.0),
+            occlusion_strength=1.0 if occlusion is None else self._unit(occlusion.get("strength", 1.0), place),
             alpha_mode=mode,
             alpha_cutoff=source.get("alphaCutoff", 0.5),
             two_sided=bool(source.get("doubleSided", False)),
             name=name,
         )
+
+    def _unit(self, value: Any, place: str) -> float:
+        """Return a factor within 0..1; exporters overshoot now and then."""
+        number = float(value)
+        if not 0.0 <= number <= 1.0:
+            self._report.repair(f"{place}: factor {number:g} lies outside 0..1 and is clamped")
+        return min(max(number, 0.0), 1.0)
 
     def _texture(self, info: dict[str, Any] | None, place: str, srgb: bool) -> Texture | None:
         """Return the texture of a texture info, or None if there is none or its image cannot be used."""

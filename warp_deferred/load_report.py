@@ -53,6 +53,14 @@ class LoadReport:
             self._repairs.append(text)
         self.note(text)
 
+    def adopt(self, other: LoadReport) -> None:
+        """Take over the notes and repairs of a file that this one names."""
+        for text in other._repairs:
+            self.repair(f"{other.file}: {text}")
+        for text in other.notes:
+            if text not in other._repairs:
+                self.note(f"{other.file}: {text}")
+
     def finish(self) -> None:
         """Warn once of all repairs, if there were any."""
         if self._repairs:

@@ -111,9 +111,7 @@ def smooth_normals(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return total[group].astype(np.float32)
 
 
-def _replaced(
-    report: LoadReport, name: str, what: str, values: np.ndarray | None, default: float
-) -> np.ndarray | None:
+def _replaced(report: LoadReport, name: str, what: str, values: np.ndarray | None, default: float) -> np.ndarray | None:
     """Return the attribute as float32 with each row that is not finite set to `default`."""
     if values is None:
         return None
@@ -121,7 +119,9 @@ def _replaced(
         good = (np.abs(values) <= FLOAT32_MAX).all(axis=1)
     if good.all():
         return values
-    report.repair(f"mesh {name!r}: replaced {_count(~good, what)} that {'is' if (~good).sum() == 1 else 'are'} not finite")
+    report.repair(
+        f"mesh {name!r}: replaced {_count(~good, what)} that {'is' if (~good).sum() == 1 else 'are'} not finite"
+    )
     return np.where(good[:, None], values, default)
 
 
