@@ -16,7 +16,7 @@ import numpy as np
 from .camera import Camera
 from .gltf_file import GltfFile
 from .gltf_materials import GltfMaterials
-from .gltf_nodes import MAX_NODES, walk_nodes
+from .gltf_nodes import walk_nodes
 from .lights import DirectionalLight, PointLight, SpotLight
 from .load_report import LoadReport
 from .materials import Material
@@ -41,17 +41,12 @@ def load_gltf(path: Path, report: LoadReport) -> Scene:
     _check_extensions(file)
     scene = Scene(path.name)
     meshes = _GltfMeshes(file)
-    placed = 0
     for index, node, world in walk_nodes(file):
         place = f"/nodes/{index}"
         name = str(node.get("name", ""))
         with report.at(place):
             if "mesh" in node:
-                found = meshes.primitives(node["mesh"], f"{place}/mesh")
-                placed += len(found)
-                if placed > MAX_NODES:
-                    raise report.error("/nodes", f"at most {MAX_NODES} placed primitives", "more", "split the file")
-                for mesh, material in found:
+                for mesh, material in meshes.primitives(node["mesh"], f"{place}/mesh"):
                     scene.add(mesh, transform=world, material=material, name=name or mesh.name)
             if "camera" in node:
                 camera = _camera(file, node["camera"], world, name, f"{place}/camera")

@@ -78,6 +78,7 @@ class GltfFile:
         self.json = self._parse(text, path)
         self._buffers: dict[int, memoryview] = {}
         self._arrays: dict[int, np.ndarray] = {}
+        self._sections: dict[str, list[dict[str, Any]]] = {}
 
     def _read_glb(self, data: bytes) -> bytes:
         mend = "copy or export the file again"
@@ -123,10 +124,13 @@ class GltfFile:
 
     def items(self, section: str) -> list[dict[str, Any]]:
         """Return one of the root's arrays of objects; empty if the file has none."""
-        found = self.json.get(section, [])
-        if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
-            raise self.report.error(f"/{section}", "a list of objects", type(found).__name__, "export the file again")
-        return found
+        if section not in self._sections:
+            found = self.json.get(section, [])
+            if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+                mend = "export the file again"
+                raise self.report.error(f"/{section}", "a list of objects", type(found).__name__, mend)
+            self._sections[section] = found
+        return self._sections[section]
 
     def item(self, section: str, index: Any, where: str) -> dict[str, Any]:
         """Return an object of one of the root's arrays; `where` is the place that refers to it."""

@@ -1,8 +1,8 @@
 """The node hierarchy of a glTF file: which nodes a scene shows, and where each stands in the world.
 
-Node graphs are checked before they are walked: cycles are errors, and the number of nodes a walk would meet is
-counted first (a child under several parents counts once for each path to it, so that a few dozen nodes can ask for
-2^26), which bounds time and memory whatever the file says. Nothing here recurses.
+Node graphs are checked before they are walked: cycles are errors, and the number of primitives that a walk would place
+is counted first (a child under several parents counts once for each path to it, so that a few dozen nodes can ask for
+2^26; a node without a mesh counts as one), which bounds time and memory whatever the file says. Nothing here recurses.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 
 from .gltf_file import GltfFile
 
-__all__ = ["MAX_NODES", "walk_nodes"]
+__all__ = ["MAX_PLACED", "walk_nodes"]
 
-#: Nodes a file may place in the world, each path to a shared child counted.
-MAX_NODES = 1_000_000
+#: Primitives (or bare nodes) a file may place in the world, each path to a shared child counted.
+MAX_PLACED = 1_000_000
 
 
 def walk_nodes(file: GltfFile) -> Iterator[tuple[int, dict[str, Any], np.ndarray]]:
@@ -76,7 +76,7 @@ def _roots(file: GltfFile, children: list[list[int]]) -> list[int]:
 
 
 def _check_graph(file: GltfFile, children: list[list[int]], roots: list[int]) -> None:
-    """Refuse cycles and walks past `MAX_NODES`; a depth-first search gives the order in which to count."""
+    """Refuse cycles and walks past `MAX_PLACED`; a depth-first search gives the order in which to count."""
     state = [0] * len(children)
     finished: list[int] = []
     for root in roots:
@@ -100,12 +100,23 @@ def _check_graph(file: GltfFile, children: list[list[int]], roots: list[int]) ->
         paths[root] += 1
     total = 0
     for index in reversed(finished):
-        total += paths[index]
-        if total > MAX_NODES:
+        total += paths[index] * _weight(file, index)
+        if total > MAX_PLACED:
             mend = "share fewer children, or place the copies in Python"
-            raise file.report.error("/nodes", f"at most {MAX_NODES} placed nodes", "more by shared children", mend)
+            raise file.report.error(
+                "/nodes", f"at most {MAX_PLACED} placed primitives", "more, by shared children", mend
+            )
         for child in children[index]:
             paths[child] += paths[index]
+
+
+def _weight(file: GltfFile, index: int) -> int:
+    """Return how many primitives a node places, at least 1."""
+    node = file.items("nodes")[index]
+    if "mesh" not in node:
+        return 1
+    found = file.item("meshes", node["mesh"], f"/nodes/{index}/mesh").get("primitives")
+    return max(1, len(found)) if isinstance(found, list) else 1
 
 
 def _local_matrix(file: GltfFile, index: int, node: dict[str, Any]) -> np.ndarray:

@@ -36,13 +36,13 @@ class GltfWriter:
 
     def array(self, values, **fields) -> int:
         values = np.asarray(values)
-        table = values.reshape(len(values), -1)
+        width = values.shape[1] if values.ndim == 2 else 1
         view = self.view(np.ascontiguousarray(values).tobytes())
         item = {
             "bufferView": view,
             "componentType": COMPONENTS[values.dtype.str[1:]],
             "count": len(values),
-            "type": KINDS[table.shape[1]],
+            "type": KINDS[width],
         }
         return self.add("accessors", item | fields)
 
