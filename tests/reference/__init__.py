@@ -6,7 +6,18 @@ the other functions are twins of the kernels' small functions.
 """
 
 from .brdf import MIN_ROUGHNESS, brdf_blinn_phong, brdf_ggx, brdf_lambert, brdf_phong, dot, unit
-from .closed_forms import angle_weighted_normals, furnace, lambert_plane, lambert_plane_radiance, quad, sphere
+from .closed_forms import (
+    angle_weighted_normals,
+    furnace,
+    lambert_plane,
+    lambert_plane_radiance,
+    loose,
+    quad,
+    scene_of,
+    sphere,
+    translation,
+    view_of,
+)
 from .color import (
     HALF_MAX,
     linear_depth,
@@ -57,6 +68,7 @@ __all__ = [
     "lambert_plane",
     "lambert_plane_radiance",
     "linear_depth",
+    "loose",
     "make_pieces",
     "mip_chain",
     "nearest",
@@ -71,6 +83,7 @@ __all__ = [
     "quad",
     "render",
     "sample",
+    "scene_of",
     "shade",
     "snap",
     "sphere",
@@ -80,7 +93,9 @@ __all__ = [
     "tone_aces",
     "tone_pbr_neutral",
     "tone_reinhard",
+    "translation",
     "unit",
     "unpack_unorm",
+    "view_of",
     "wrap_index",
 ]

@@ -4,9 +4,43 @@ from __future__ import annotations
 
 import numpy as np
 
-from .data import Instance, Light, Material, Mesh, Scene
+from .data import Instance, Light, Material, Mesh, Scene, View
 
-__all__ = ["angle_weighted_normals", "furnace", "lambert_plane", "lambert_plane_radiance", "quad", "sphere"]
+__all__ = [
+    "angle_weighted_normals",
+    "furnace",
+    "lambert_plane",
+    "lambert_plane_radiance",
+    "loose",
+    "quad",
+    "scene_of",
+    "sphere",
+    "translation",
+    "view_of",
+]
+
+
+def view_of(width: int = 48, height: int = 32, focal: float = 40.0, **fields) -> View:
+    """A view from the origin down -Z with the principal point in the middle; `focal` in pixels."""
+    return View(width, height, (focal, focal, width / 2, height / 2), **fields)
+
+
+def scene_of(*meshes: Mesh, material: Material | None = None, **fields) -> Scene:
+    """A scene of meshes where they are, all of one material."""
+    return Scene(tuple(Instance(m) for m in meshes), (material or Material(),), **fields)
+
+
+def loose(triangles: np.ndarray, **fields) -> Mesh:
+    """A mesh of triangles (m, 3, 3) that share no vertices."""
+    points = np.asarray(triangles, float).reshape(-1, 3)
+    return Mesh(points, np.arange(len(points)).reshape(-1, 3), **fields)
+
+
+def translation(x: float, y: float, z: float) -> np.ndarray:
+    """A (4, 4) matrix that moves points."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
 
 
 def angle_weighted_normals(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -48,7 +48,8 @@ def seen(world: int, view: View) -> bool:
 
 def to_world(instance: Instance) -> np.ndarray:
     """Return the instance's vertex positions in the world, (n, 3)."""
-    return instance.mesh.positions @ instance.transform[:3, :3].T + instance.transform[:3, 3]
+    with np.errstate(invalid="ignore"):  # vertices without a place are dropped later
+        return instance.mesh.positions @ instance.transform[:3, :3].T + instance.transform[:3, 3]
 
 
 def project(points: np.ndarray, view: View) -> np.ndarray:

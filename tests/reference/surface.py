@@ -70,7 +70,8 @@ def _instance_soup(index: int, instance: Instance, view: View) -> Soup:
     colors = np.ones((count, 3, 4)) if mesh.colors is None else np.asarray(mesh.colors, float)[faces]
     normals = np.zeros((count, 3, 3)) if mesh.normals is None else np.asarray(mesh.normals, float)[faces] @ turn
     world = to_world(instance)[faces]
-    face = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0]) @ turn
+    with np.errstate(invalid="ignore"):
+        face = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0]) @ turn
     return Soup(
         project(world, view),
         world,
