@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -334,3 +337,38 @@ def test_edge_distance_measures_sub_pixels():
     out = ref.render(scene_of(soup([[[x, -50, -1], [60, 2, -1], [x, 50, -1.0]]])), view)
     assert out["edge_distance"][1, 1] == 3.0 and out["alpha"][1, 1] == 0
     assert out["edge_distance"][1, 2] == 253.0 and out["alpha"][1, 2] == 1
+
+
+def test_snapping_rounds_to_the_nearest_sub_pixel_halves_up():
+    steps = np.array([0.0, 0.49, 0.5, 1.5, -0.5, -0.51, -1.5, 255.75, 1e12, -1e12])
+    assert ref.snap(steps / 256).tolist() == [0, 0, 1, 2, 0, -1, -1, 256, 1 << 23, -(1 << 23)]
+
+
+def test_t3_both_neighbours_cut_a_shared_edge_at_the_same_point():
+    rng = np.random.default_rng(3)
+    plane = np.array([[0.0, 0.0, -1.0, 1.0]])
+    for _ in range(300):
+        a, b, c, d = rng.normal(size=(4, 4)) * 10.0
+        a[3], b[3] = a[2] + rng.uniform(0.1, 5), b[2] - rng.uniform(0.1, 5)
+        one, other = ref.clip_polygon(np.array([a, b, c]), plane), ref.clip_polygon(np.array([b, a, d]), plane)
+        shared = {tuple(v) for v in one} & {tuple(v) for v in other}
+        assert len(shared) == 2 and tuple(a) in shared
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1), (0, 2, 1), (1, 0, 2)])
+def test_z_gap_is_the_step_to_the_next_fragment_in_any_order(order):
+    planes = [[[-9, -9, -d], [9, -9, -d], [0, 9, -d]] for d in (1.0, 2.0, 4.0)]
+    out = ref.render(scene_of(soup([planes[i] for i in order])), camera(4, 4, near=0.5))
+    assert (out["fragments"] == 3).all() and np.allclose(out["z_gap"], 0.25)
+    alone = ref.render(scene_of(soup(planes[:1])), camera(4, 4, near=0.5))
+    assert np.isposinf(alone["z_gap"]).all()
+
+
+def test_the_reference_knows_nothing_of_the_package():
+    for path in sorted(Path(ref.__file__).parent.glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and not node.level:
+                names = [node.module or ""]
+            allowed = {"__future__", "numpy", *sys.stdlib_module_names}
+            assert {name.partition(".")[0] for name in names} <= allowed, path.name

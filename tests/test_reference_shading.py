@@ -265,6 +265,11 @@ def test_tone_curves_at_known_points():
     assert np.isclose(ref.tone_aces(1.0), 2.54 / 3.16)
     # Peak 2.04 above the 4 % offset: 1 - 0.24² / (2 + 0.24 - 0.76) = 0.9610811
     assert np.allclose(ref.tone_pbr_neutral([2.04, 2.04, 2.04]), 1 - 0.0576 / 1.48)
+    # (4, 1, 0.5) less 0.04, scaled so that 3.96 becomes p = 1 - 0.0576 / 3.44, then mixed g of the way to white p.
+    p = 1 - 0.0576 / 3.44
+    g = 1 - 1 / (0.15 * (3.96 - p) + 1)
+    expected = [p, p * (0.96 / 3.96 * (1 - g) + g), p * (0.46 / 3.96 * (1 - g) + g)]
+    assert np.allclose(ref.tone_pbr_neutral([4.0, 1.0, 0.5]), expected)
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

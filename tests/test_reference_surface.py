@@ -74,6 +74,15 @@ def test_barycentric_slopes_are_the_differences_between_pixels():
     assert np.allclose((weights[2] - weights[0]) / 1e-4, slope_y[0], atol=1e-5)
 
 
+def test_i3_weights_outside_the_triangle_are_clamped_and_renormalised():
+    clip = np.array([[[10.0, 10, 0.1, 1], [60, 20, 0.1, 2], [30, 90, 0.1, 3]]])
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(-20, 60.0, 3), np.arange(-20, 60.0, 3)))
+    for corners in (clip, clip[:, [0, 2, 1]]):
+        weights = ref.barycentrics(corners.repeat(len(x), axis=0), x, y)[0]
+        assert (weights >= 0).all() and np.allclose(weights.sum(axis=1), 1.0)
+        assert (weights == 0).any(axis=1).mean() > 0.5 and (weights > 0).all(axis=1).any()
+
+
 def facing_quad(depth=2.0, half_width=1.0, half_height=1.0, repeat=1.0, **fields):
     """A quad that faces the view, its uv 0 at the top left and `repeat` at the bottom right."""
     w, h, d, r = half_width, half_height, depth, repeat
