@@ -89,9 +89,9 @@ def build(*, triangles: int = 500_000, lights: int = 0, seed: int = 0, mean: flo
         scene.environment = Environment(ambient=(0.012, 0.016, 0.028), background=(0.010, 0.016, 0.034))
         _scatter(scene, camera, lights, mean, rng)
     else:
-        scene.environment = Environment(ambient=(0.16, 0.21, 0.30), background=(0.30, 0.50, 0.84))
+        scene.environment = Environment(ambient=(0.22, 0.27, 0.36), background=(0.30, 0.50, 0.84))
         scene.lights.add(
-            DirectionalLight(direction=(0.66, -0.80, 0.30), color=(1.0, 0.90, 0.74), intensity=3.4, name="sun")
+            DirectionalLight(direction=(0.40, -1.0, -0.25), color=(1.0, 0.90, 0.74), intensity=3.4, name="sun")
         )
     return scene
 
