@@ -1,8 +1,7 @@
 """White furnace: a white Lambert sphere in constant white light. It vanishes: every pixel is exactly 1.
 
 Diffuse ambient light of radiance 1 leaves a surface of albedo 1 as radiance 1, whatever its shape; with a background
-of radiance 1 nothing may be seen:
-any trace of the sphere is an error of the pipeline (the "white furnace" of Heitz 2014).
+of radiance 1 nothing may be seen, and any trace of the sphere is an error of the pipeline (Heitz 2014 on this test).
 """
 
 from __future__ import annotations
