@@ -25,7 +25,7 @@ PITCH = 9.0
 """Distance between the middles of neighbouring towers [m]."""
 GROUND = 320.0
 """Side of the square ground [m]."""
-#: Colours of the lights, linear, and how often each occurs, by what they hover over: tungsten and sodium in the streets,
+#: Colours of the lights, linear, and how often each occurs, by what they hover over: tungsten and sodium in streets,
 #: neon on the walls, a cool blue on the roofs, so that the shape of the city reads from colour alone.
 STREETS = np.array([[1.0, 0.56, 0.20], [1.0, 0.74, 0.42], [1.0, 0.38, 0.10]]), (0.5, 0.3, 0.2)
 WALLS = np.array([[1.0, 0.18, 0.42], [0.62, 0.22, 1.0], [1.0, 0.45, 0.16]]), (0.45, 0.3, 0.25)
@@ -136,7 +136,7 @@ def build(*, lights: int = 10_000, mean: float = 5.0, seed: int = 0, triangles: 
     scale = math.sqrt(mean / (math.pi * density))
     above = scale * rng.uniform(0.45, 0.70, lights)
     centres = on + normal * above[:, None]
-    points, normals = _visible(camera, boxes, 112, 63)
+    points, normals = _visible(camera, boxes, 96, 54)
     reach = range_for_mean(points, normals, centres, mean)
     scene.lights.extend(
         "point",
