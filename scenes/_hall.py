@@ -106,7 +106,7 @@ def floor(rng: np.random.Generator) -> Shape:
     middle = 0.5 * (zs[0] + zs[-1])
     for side in (-1.0, 1.0):
         band = plane(1.8, length, columns=12, rows=int(length / 0.15)).at(side * 3.6, 0.0, middle)
-        pieces.append(_contact(dataclasses.replace(band, colors=np.tile(_SLATE * 1.25, (len(band.positions), 1)))))
+        pieces.append(_contact(dataclasses.replace(band, colors=np.tile(_SLATE * 1.6, (len(band.positions), 1)))))
         ax, az = (a.ravel() for a in np.meshgrid(side * (4.5 + size * (np.arange(3) + 0.5)), zs))
         even = (np.round(ax / size - 0.5) + np.round(az / size)).astype(int) % 2 == 0
         pieces.append(_tiles(ax, az, size, 0.0, np.where(even[:, None], _CREAM * 0.6, _SLATE), rng))
@@ -134,7 +134,7 @@ def _rib() -> Shape:
     inner, outer, half = VAULT - 0.16, VAULT + 0.05, 0.24
     across = np.stack([np.cos(a), np.sin(a), np.zeros_like(a)], -1)
     edge = np.array([0.0, 0.0, half])
-    under = surface(np.stack([across * inner - edge, across * inner + edge])[:, ::-1], np.stack([-across] * 2))
+    under = surface(np.stack([across * inner + edge, across * inner - edge]), np.stack([-across] * 2))
     flip = np.array([1.0, 1.0, -1.0])
     front = np.stack([across * inner + edge, across * outer + edge])[:, ::-1]
     normal = np.broadcast_to([0.0, 0.0, 1.0], front.shape)
@@ -157,18 +157,39 @@ def _apse() -> Shape:
     )
 
 
-def _aisle_wall() -> Shape:
-    """One bay of the outer wall, seen from +z towards -z: a blind arch over a sill, the wall behind, half a pier."""
+def _ashlar(width: float, height: float, rows: int, columns: int, rng: np.random.Generator) -> Shape:
+    """Wall of hewn blocks in running bond, facing +z: each block has its own shade and leans by a hair."""
+    pieces = []
+    for row in range(rows):
+        cuts = np.linspace(0.0, width, columns + 1)
+        if row % 2:
+            cuts = np.concatenate([[0.0], cuts[:-1] + 0.5 * width / columns, [width]])
+        pieces.append(np.stack([cuts[:-1], cuts[1:], np.full(len(cuts) - 1, row), np.full(len(cuts) - 1, row + 1)], -1))
+    x0, x1, y0, y1 = (np.concatenate(pieces) * [1.0, 1.0, height / rows, height / rows]).T
+    count = len(x0)
+    corners = np.stack([np.stack([x, y, np.zeros(count)], -1) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))], 1)
+    normals = np.column_stack([rng.normal(0.0, 0.035, (count, 2)), np.ones(count)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    triangles = (4 * np.arange(count)[:, None, None] + [[0, 1, 2], [0, 2, 3]]).reshape(-1, 3)
+    flat = corners.reshape(-1, 3) - [width / 2, 0.0, 0.0]
+    shade = np.repeat(rng.uniform(0.72, 1.0, (count, 1)) * [1.0, 0.99, 0.97], 4, axis=0)
+    return Shape(flat, np.repeat(normals, 4, axis=0), flat[:, :2], triangles, shade)
+
+
+def _aisle_wall(rng: np.random.Generator) -> Shape:
+    """One bay of the outer wall, facing +z: a blind arch on two half piers before a wall of hewn blocks."""
     width, depth = BAY, 0.3
     blind = arch(2.5, width, CORNICE - 3.4, depth, segments=28).at(0.0, 3.4, depth / 2)
-    piers = [box(0.55, 3.4, depth).at(side * (width - 0.55) / 2, 0.0, depth / 2) for side in (-1.0, 1.0)]
-    s = np.linspace(-width / 2, width / 2, 13)
-    x, y = np.meshgrid(s, np.linspace(0.0, CORNICE, 25))
-    back = np.stack([x, y, np.zeros_like(x)], -1)
-    wall = surface(back, np.broadcast_to([0.0, 0.0, 1.0], back.shape))
+    piers = [box(0.55, 3.4, depth, cells=8).at(side * (width - 0.55) / 2, 0.0, depth / 2) for side in (-1.0, 1.0)]
     sill = bevelled_box(width, 0.55, depth + 0.12, 0.03).at(0.0, 0.0, (depth + 0.12) / 2)
+    imposts = [
+        bevelled_box(0.6, 0.14, depth + 0.1, 0.02).at(side * (width - 0.5) / 2, 3.3, 0.2) for side in (-1.0, 1.0)
+    ]
     ring = _half_ring(1.25, 0.07).at(0.0, 3.4, depth)
-    return _worn(join(blind, *piers, wall, sill, ring), -0.1, CORNICE + 0.1, 0.4)
+    return join(
+        _worn(join(blind, *piers, sill, *imposts, ring), -0.1, CORNICE + 0.1, 0.4),
+        _ashlar(width, CORNICE, 18, 6, rng),
+    )
 
 
 def _ceilings() -> Shape:
@@ -212,7 +233,7 @@ def _dais() -> Shape:
     return join(*steps).at(0.0, 0.0, END + 0.6)
 
 
-def stonework() -> list[tuple[str, Shape, list[np.ndarray]]]:
+def stonework(rng: np.random.Generator) -> list[tuple[str, Shape, list[np.ndarray]]]:
     """List (name, shape, places) of all stone but the floor; a place is (x, y, z, turn about y [rad])."""
     columns = column_places()
     shaft = _worn(column(COLUMN, SHAFT), 0.0, COLUMN, 0.5)
@@ -231,7 +252,7 @@ def stonework() -> list[tuple[str, Shape, list[np.ndarray]]]:
     return [
         ("columns", shaft, [np.append(place, 0.0) for place in columns]),
         ("arcade", bay_arch, arches),
-        ("aisle walls", _aisle_wall(), walls),
+        ("aisle walls", _aisle_wall(rng), walls),
         ("ribs", _rib(), ribs),
         ("vault", vault, origin),
         ("ceilings", _ceilings(), origin),

@@ -27,7 +27,7 @@ __all__ = ["PERIOD", "animate", "build"]
 PERIOD = 24.0
 """Time after which everything is back where it was [s]."""
 AMBER, GOLD, EMBER = (1.0, 0.52, 0.17), (1.0, 0.72, 0.36), (1.0, 0.33, 0.08)
-TEAL, BLUE, ROSE = (0.10, 0.72, 0.70), (0.20, 0.38, 1.0), (1.0, 0.16, 0.42)
+TEAL, BLUE, ROSE = (0.08, 0.62, 0.68), (0.16, 0.34, 1.0), (0.95, 0.18, 0.36)
 HEART = np.array([0.0, 3.05, hall.END + 0.6])
 """Middle of the armillary sphere."""
 
@@ -61,27 +61,27 @@ def _point_rows(rng: np.random.Generator) -> dict[str, np.ndarray]:
             rows.append(((side * hall.NAVE, 4.05, depth), (0.10, 0.0, 0.14), AMBER, 11.0, 5.6, 0.085))
     for k, depth in enumerate(z):
         for side in (-1.0, 1.0):
-            color = (TEAL, BLUE, ROSE, BLUE)[(k + int(side > 0)) % 4]
-            rows.append(((side * 5.9, 2.2, depth), (0.35, 0.7, 0.9), color, 5.0, 4.4, 0.045))
+            color = ROSE if (k, side) in ((1, -1.0), (3, 1.0), (5, -1.0)) else (TEAL, BLUE)[(k + int(side > 0)) % 2]
+            rows.append(((side * 5.5, 2.4, depth), (0.35, 0.7, 0.9), color, 4.5, 5.0, 0.045))
     for k in range(12):
         depth = np.interp(k, [0, 11], [hall.FRONT - 2.0, hall.BACK])
         rows.append(((rng.uniform(-1.2, 1.2), 8.6, depth), (1.1, 0.5, 1.6), BLUE if k % 3 else TEAL, 5.0, 5.5, 0.04))
     for k in range(12):
         turn = 2.0 * np.pi * k / 12
         around = HEART + np.array([2.1 * math.cos(turn), rng.uniform(-1.2, 1.3), 0.9 * math.sin(turn)])
-        rows.append((around, (0.5, 0.4, 0.3), (GOLD, AMBER, ROSE)[k % 3], 2.2, 3.8, 0.05))
-    rows[-1] = (HEART, (0.02, 0.04, 0.02), GOLD, 16.0, 7.5, 0.30)
+        rows.append((around, (0.5, 0.4, 0.3), (GOLD, AMBER, GOLD, ROSE)[k % 4], 1.4, 3.0, 0.05))
+    rows[-1] = (HEART, (0.02, 0.04, 0.02), GOLD, 8.0, 5.0, 0.30)
     colors = [AMBER] * 9 + [GOLD] * 5 + [EMBER] * 3 + [TEAL] * 2 + [ROSE]
     for k in range(44):
         depth = np.interp(k + rng.uniform(-0.4, 0.4), [0, 43], [hall.FRONT - 4.0, hall.BACK + 1.0])
         place = (rng.uniform(-2.3, 2.3), rng.uniform(0.5, 3.0), depth)
-        rows.append((place, (0.9, 0.4, 1.2), colors[rng.integers(len(colors))], rng.uniform(0.7, 1.5), 3.0, 0.032))
+        rows.append((place, (0.9, 0.4, 1.2), colors[rng.integers(len(colors))], rng.uniform(0.8, 1.6), 3.8, 0.032))
     names = ("centre", "amplitude", "color", "intensity", "range", "size")
     return {name: np.array([row[k] for row in rows], float) for k, name in enumerate(names)}
 
 
 def _spot_rows() -> dict[str, np.ndarray]:
-    """Place, aim, sweep [rad], colour, intensity [cd], range [m], inner and outer angle [degrees] of each spot light."""
+    """Place, aim, sweep [rad], colour, intensity [cd], range [m], inner and outer angle [degrees] of each spot."""
     rows: list[tuple] = []
     for x, _, z in hall.column_places():
         side = math.copysign(1.0, x)
@@ -92,7 +92,7 @@ def _spot_rows() -> dict[str, np.ndarray]:
     for k, z in enumerate(hall.bay_centres()):
         for side in (-1.0, 1.0):
             color = GOLD if k % 2 else AMBER
-            rows.append(((side * 1.5, 6.6, z), (-side * 0.10, -1.0, 0.0), 0.32, color, 55.0, 8.0, 6.0, 17.0))
+            rows.append(((side * 1.5, 6.6, z), (-side * 0.10, -1.0, 0.0), 0.32, color, 120.0, 8.0, 5.0, 16.0))
             color = (BLUE, ROSE)[(k + int(side > 0)) % 2]
             rows.append(((side * 6.2, 0.75, z), (side * 0.32, 1.0, 0.0), 0.10, color, 7.0, 6.0, 10.0, 42.0))
     for k in range(12):
@@ -103,7 +103,9 @@ def _spot_rows() -> dict[str, np.ndarray]:
             rows.append((place, HEART - place, 0.06, GOLD, 30.0, 8.0, 6.0, 16.0))
         else:
             place = np.array([0.0, 0.15, hall.END]) + out * (hall.APSE_RADIUS - 0.45)
-            rows.append((place, (0.10 * out[0], 1.0, 0.10 * out[2]), 0.06, EMBER, 14.0, 7.5, 10.0, 34.0))
+            rows.append(
+                (place, (0.10 * out[0], 1.0, 0.10 * out[2]), 0.06, BLUE if k % 4 else TEAL, 9.0, 7.5, 10.0, 34.0)
+            )
     names = ("place", "aim", "sweep", "color", "intensity", "range", "inner", "outer")
     return {name: np.array([row[k] for row in rows], float) for k, name in enumerate(names)}
 
@@ -138,7 +140,7 @@ def _add_stone(scene: Scene, rng: np.random.Generator) -> None:
     stone = Material(base_color=(0.56, 0.50, 0.42, 1.0), roughness=0.62, name="limestone")
     polished = Material(roughness=0.24, name="polished floor")
     scene.add(hall.floor(rng).mesh("floor"), material=polished, label=1)
-    for name, shape, places in hall.stonework():
+    for name, shape, places in hall.stonework(rng):
         mesh = shape.mesh(name)
         for x, y, z, turn in places:
             scene.add(mesh, transform=translation(x, y, z, turn=turn), material=stone, label=2)
@@ -146,7 +148,7 @@ def _add_stone(scene: Scene, rng: np.random.Generator) -> None:
 
 def _add_furnishings(scene: Scene) -> tuple[list[Instance], list[Instance]]:
     bronze = Material(base_color=(0.36, 0.24, 0.13, 1.0), metallic=1.0, roughness=0.38, name="bronze")
-    gold = Material(base_color=(1.0, 0.76, 0.36, 1.0), metallic=1.0, roughness=0.26, name="gold")
+    gold = Material(base_color=(1.0, 0.76, 0.36, 1.0), metallic=0.6, roughness=0.36, name="gold")
     glaze = Material(base_color=(0.05, 0.16, 0.20, 1.0), roughness=0.2, name="glaze")
     marble = Material(base_color=(0.60, 0.56, 0.50, 1.0), roughness=0.4, name="marble")
     base, vase = furnishings.pedestal(0.95, 0.62).mesh("pedestal"), furnishings.urn().mesh("urn")
@@ -184,7 +186,7 @@ def _add_glow(scene: Scene, points: dict[str, np.ndarray]) -> list[Instance]:
         key = tuple(color)
         if key not in materials:
             black = (0.0, 0.0, 0.0, 1.0)
-            emitted = tuple(float(6.0 * c + 0.5) for c in key)
+            emitted = tuple(float(2.6 * c) for c in key)
             materials[key] = Material(base_color=black, emissive=emitted, roughness=1.0, name="glow")
         glow.append(scene.add(meshes[size], material=materials[key], label=7))
     return glow
@@ -203,7 +205,7 @@ def build(*, seed: int = 7, brightness: float = 1.0) -> Scene:
     scene.animate = animate
     scene.environment = Environment(ambient=(0.012, 0.015, 0.026), background=(0.002, 0.002, 0.004))
     scene.cameras.append(
-        Camera.look_at((0.95, 1.65, 2.9), (-0.25, 3.05, -14.0), vertical_fov_deg=54.0, exposure=0.5, name="nave")
+        Camera.look_at((0.70, 1.65, 2.9), (-0.20, 3.10, -14.0), vertical_fov_deg=52.0, exposure=0.5, name="nave")
     )
     _add_stone(scene, rng)
     rings, lanterns = _add_furnishings(scene)

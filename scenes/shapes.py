@@ -366,8 +366,8 @@ def coffered_vault(
     v, level_v = stations(along)
     out = radius + depth / steps * np.minimum(level_u[:, None], level_v[None])
     angle, z = (np.pi * u)[:, None], (length * (v - 0.5))[None] + np.zeros_like(out)
-    # From below with z to the right: rows run from +x over the crown to -x.
-    points = np.stack([out * np.cos(angle), out * np.sin(angle), z], -1)[:, ::-1]
+    # Seen from below with z to the right, -x is up: rows run from +x over the crown to -x.
+    points = np.stack([out * np.cos(angle), out * np.sin(angle), z], -1)
     corner = np.stack([points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]], 2).reshape(-1, 4, 3)
     reach = np.linalg.norm(corner[..., :2], axis=-1)
     # A frame's corner cell has one sunken or one raised vertex: the cut must run through it to keep both faces flat.
