@@ -25,14 +25,14 @@ __all__ = ["build", "expected_radiance"]
 _ALBEDO = (0.8, 0.5, 0.3)
 
 
-def build(*, intensity: float = 12.0, height: float = 1.5, light_range: float = 0.0, tilt_deg: float = 35.0) -> Scene:
+def build(*, intensity: float = 12.0, height: float = 1.5, light_range: float = 0.0, tilt_deg: float = 0.0) -> Scene:
     """Build the plane y = 0, its light and a camera that sees nothing else.
 
     Args:
         intensity: Of the light [cd].
         height: Of the light above the plane [m].
         light_range: Distance at which the light ends [m]; 0 for a light without end.
-        tilt_deg: Angle between the view direction and straight down [degrees].
+        tilt_deg: Angle between the view direction and straight down [degrees]; 0 faces the plane.
     """
     check_range("lambert_plane.height", height, 1e-3, 1e3, unit="m")
     check_range("lambert_plane.light_range", light_range, 0.0, unit="m")

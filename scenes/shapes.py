@@ -239,8 +239,10 @@ def _turned(points, normal, segments, flutes, flute_depth, fluted) -> Shape:
     slope = np.zeros_like(radius)
     if flutes:
         inside = ((points[:, 1] >= fluted[0]) & (points[:, 1] <= fluted[1]))[:, None]
-        wave = np.abs(np.sin(0.5 * flutes * angle))[None]
-        turn = 0.5 * flutes * np.cos(0.5 * flutes * angle)[None] * np.sign(np.sin(0.5 * flutes * angle))[None]
+        sine, cosine = np.sin(0.5 * flutes * angle)[None], np.cos(0.5 * flutes * angle)[None]
+        wave = np.abs(sine)
+        # On the ridge between two grooves the slope has both signs: none is taken, and the normal points straight out.
+        turn = 0.5 * flutes * cosine * np.where(wave > 1e-9, np.sign(sine), 0.0)
         slope = np.where(inside, -flute_depth * radius * turn, 0.0)
         radius = np.where(inside, radius * (1.0 - flute_depth * wave), radius)
     c, s = np.cos(angle)[None], -np.sin(angle)[None]
