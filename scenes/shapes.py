@@ -206,7 +206,8 @@ def lathe(
 
     Args:
         profile: (k, 2) points (radius, height) [m] in the order in which the outside lies to the right: from bottom to
-            top. Starting and ending on the axis closes the shape; so does ending where it started.
+            top. Starting and ending on the axis closes the shape; so does ending where it started. Doubled points
+            are dropped.
         segments: Facets around.
         crease: Angle between two pieces of the profile from which on their edge stays sharp [rad].
         flutes: Number of hollow grooves around, 0 for none.
@@ -214,6 +215,7 @@ def lathe(
         fluted: Heights between which the grooves run [m].
     """
     points = np.asarray(profile, float)
+    points = points[np.append(True, np.abs(np.diff(points, axis=0)).max(axis=1) > 1e-9)]
     steps = np.diff(points, axis=0)
     across = _unit(np.stack([steps[:, 1], -steps[:, 0]], -1))
     closed = np.allclose(points[0], points[-1]) and points[0, 0] > 0.0
