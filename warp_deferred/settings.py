@@ -18,6 +18,8 @@ class RasterSettings(Record):
     """Entries in the per-tile lists of large triangles; what does not fit is drawn by the atomic path."""
     large_capacity: int = Field(1 << 17, ge=0, le=1 << 26)
     """Large triangles kept for binning; what does not fit is drawn by the atomic path."""
+    bins: Literal["auto", "on", "off"] = "auto"
+    """Whether large triangles are binned to screen tiles; auto: on CUDA, where lanes wait for one another."""
     cull: Literal["back", "none", "front"] = "back"
     """Which faces of one-sided materials are dropped."""
 

@@ -1,0 +1,187 @@
+"""Bins: large triangles per 16 x 16 screen tile, in three steps: count, (scan,) fill, draw.
+
+One group of lanes per triangle tests the tiles of its box exactly; a tile's 256 threads then loop over its list with
+the best key in a register, so no atomics. An entry that does not fit the lists is drawn by the lane that found it,
+with atomics: overflow costs time and never a pixel. Edge values are 64-bit once a tile, 32-bit inside it: an edge that
+neither accepts nor rejects the whole tile has |q| < 2^31, and pixel steps are multiples of 256, so the shift loses
+nothing. The order of the lists depends on the run, the keys do not. Block size 256.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from .projection import pixel_index
+from .raster import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, make_draw
+from .projection import float_bits
+from .structs import BIN_TILE, BIN_TILE_AREA, LargeTriangle, RasterTarget, View
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BLOCK_DIM = 256
+#: (depth_views, behind): what CI compiles.
+VARIANTS = [(False, False), (True, False), (False, True), (True, True)]
+
+
+@wp.struct
+class Bins:
+    """Lists of large triangles a tile."""
+
+    counts: wp.array[wp.int32]  # entries found a tile; after the scan, the fill's cursors start from offsets
+    offsets: wp.array[wp.int32]
+    cursors: wp.array[wp.int32]
+    entries: wp.array[wp.int32]
+
+
+@wp.func
+def edge_at(a: wp.vec2i, b: wp.vec2i, x: wp.int32, y: wp.int32):
+    """Exact edge value of a -> b at a sub-pixel position."""
+    return wp.int64(a[1] - b[1]) * wp.int64(x - a[0]) + wp.int64(b[0] - a[0]) * wp.int64(y - a[1])
+
+
+@wp.func
+def edge_misses(a: wp.vec2i, b: wp.vec2i, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32):
+    """Whether no pixel centre from (x, y) to (x + dx, y + dy) [1/256 px] is inside an edge."""
+    sx, sy = a[1] - b[1], b[0] - a[0]
+    best = edge_at(a, b, wp.where(sx > 0, x + dx, x), wp.where(sy > 0, y + dy, y))
+    return best < wp.int64(edge_threshold(sx, sy))
+
+
+@wp.func
+def triangle_misses(t: LargeTriangle, x: wp.int32, y: wp.int32, dx: wp.int32, dy: wp.int32):
+    """Whether an edge alone shows that a tile has no pixel of a triangle."""
+    return (
+        edge_misses(t.p1, t.p2, x, y, dx, dy)
+        or edge_misses(t.p2, t.p0, x, y, dx, dy)
+        or edge_misses(t.p0, t.p1, x, y, dx, dy)
+    )
+
+
+@functools.cache
+def make_bin_kernels(depth_views: bool, behind: bool):
+    """(count, fill, draw) kernels."""
+    _, draw_direct = make_draw(depth_views, behind)
+
+    @wp.func
+    def bin_triangle(
+        view: View, t: LargeTriangle, index: wp.int32, lane: wp.int32, lanes: wp.int32, filling: wp.int32, bins: Bins, target: RasterTarget
+    ):
+        x_min = wp.max(first_pixel(wp.min(t.p0[0], wp.min(t.p1[0], t.p2[0]))), 0)
+        x_max = wp.min(last_pixel(wp.max(t.p0[0], wp.max(t.p1[0], t.p2[0]))), view.width - 1)
+        y_min = wp.max(first_pixel(wp.min(t.p0[1], wp.min(t.p1[1], t.p2[1]))), 0)
+        y_max = wp.min(last_pixel(wp.max(t.p0[1], wp.max(t.p1[1], t.p2[1]))), view.height - 1)
+        bx, by = x_min // BIN_TILE, y_min // BIN_TILE
+        wide = x_max // BIN_TILE - bx + 1
+        total = wide * (y_max // BIN_TILE - by + 1)
+        k = lane
+        while k < total:
+            tx, ty = bx + k % wide, by + k // wide
+            low = wp.vec2i(wp.max(tx * BIN_TILE, x_min), wp.max(ty * BIN_TILE, y_min))
+            high = wp.vec2i(wp.min(tx * BIN_TILE + BIN_TILE - 1, x_max), wp.min(ty * BIN_TILE + BIN_TILE - 1, y_max))
+            x, y = low[0] * 256 + 128, low[1] * 256 + 128
+            if not triangle_misses(t, x, y, (high[0] - low[0]) * 256, (high[1] - low[1]) * 256):
+                b = view.bin_offset + ty * view.bins_x + tx
+                if filling == 0:
+                    wp.atomic_add(bins.counts, b, 1)
+                else:
+                    place = bins.offsets[b] + wp.atomic_add(bins.cursors, b, 1)
+                    if place < bins.entries.shape[0]:
+                        bins.entries[place] = index
+                    else:
+                        draw_direct(view, target, t, low, high)
+            k += lanes
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def bin_triangles_kernel(
+        # Frame
+        views: wp.array[View],
+        # In
+        target: RasterTarget,
+        # Params
+        lanes: wp.int32,
+        stride: wp.int32,
+        filling: wp.int32,
+        # Out
+        out_bins: Bins,
+    ):
+        thread = wp.tid()
+        lane = thread % lanes
+        index = thread // lanes
+        count = wp.min(target.large_count[0], target.large.shape[0])
+        while index < count:
+            t = target.large[index]
+            bin_triangle(views[t.view], t, index, lane, lanes, filling, out_bins, target)
+            index += stride
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def draw_bins_kernel(
+        # Frame
+        views: wp.array[View],
+        bin_tiles: wp.array[wp.vec4i],
+        # In
+        bins: Bins,
+        # Out
+        out_target: RasterTarget,
+    ):
+        thread = wp.tid()
+        b = thread // BIN_TILE_AREA
+        lane = thread % BIN_TILE_AREA
+        first = bins.offsets[b]
+        last = wp.min(first + bins.counts[b], bins.entries.shape[0])
+        if first >= last:
+            return
+        tile = bin_tiles[b]
+        view = views[tile[0]]
+        i, j = lane % BIN_TILE, lane // BIN_TILE
+        x, y = tile[1] + i, tile[2] + j
+        inside = x < view.width and y < view.height
+        pixel = wp.int32(0)
+        best = wp.uint64(0)
+        limit = wp.uint64(0)
+        best_bits = wp.uint32(0)
+        if inside:
+            pixel = pixel_index(view, x, y)
+            if wp.static(depth_views):
+                if view.depth_only != 0:
+                    best_bits = out_target.depth_keys[pixel]
+                else:
+                    best = out_target.keys[pixel]
+            else:
+                best = out_target.keys[pixel]
+            if wp.static(behind):
+                if view.depth_only == 0:
+                    limit = out_target.behind[pixel]
+        sx, sy = x * 256 + 128, y * 256 + 128
+        for place in range(first, last):
+            t = out_target.large[bins.entries[place]]
+            e0 = edge_at(t.p1, t.p2, sx, sy)
+            e1 = edge_at(t.p2, t.p0, sx, sy)
+            e2 = edge_at(t.p0, t.p1, sx, sy)
+            l0 = wp.int64(edge_threshold(t.p1[1] - t.p2[1], t.p2[0] - t.p1[0]))
+            l1 = wp.int64(edge_threshold(t.p2[1] - t.p0[1], t.p0[0] - t.p2[0]))
+            l2 = wp.int64(edge_threshold(t.p0[1] - t.p1[1], t.p1[0] - t.p0[0]))
+            if inside and e0 >= l0 and e1 >= l1 and e2 >= l2:
+                area = wp.float32(edge_at(t.p0, t.p1, t.p2[0], t.p2[1]))
+                z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
+                if z >= 0.0:
+                    bits = float_bits(z)
+                    key = (wp.uint64(bits) << wp.uint64(32)) | wp.uint64(wp.uint32(0xFFFFFFFF) - t.id)
+                    if wp.static(behind):
+                        if view.depth_only != 0 or key < limit:
+                            best = wp.max(best, key)
+                            best_bits = wp.max(best_bits, bits)
+                    else:
+                        best = wp.max(best, key)
+                        best_bits = wp.max(best_bits, bits)
+        if inside:
+            if wp.static(depth_views):
+                if view.depth_only != 0:
+                    out_target.depth_keys[pixel] = best_bits
+                else:
+                    out_target.keys[pixel] = best
+            else:
+                out_target.keys[pixel] = best
+
+    return bin_triangles_kernel, draw_bins_kernel

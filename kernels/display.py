@@ -1,0 +1,65 @@
+"""Display: exposure, tone curve and sRGB encoding to 8 bits. One thread a pixel, block size 64; last in the frame."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from .color import CURVES, clamp_radiance, srgb_code, tone_curve
+from .projection import pixel_in_block, pixel_index
+from .structs import PIXEL_BLOCK_AREA, View
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BLOCK_DIM = 64
+#: (tone curve, half radiance): what CI compiles.
+VARIANTS = [(curve, half) for curve in CURVES for half in (False, True)]
+
+
+@functools.cache
+def make_display_kernel(curve: str, half: bool):
+    """Kernel that turns radiance into sRGB bytes.
+
+    Args:
+        curve: Name of the tone curve.
+        half: Read the half4 radiance, else the float32 colour.
+    """
+    tone = tone_curve(curve)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def display_kernel(
+        # Frame
+        views: wp.array[View],
+        blocks: wp.array[wp.vec4i],
+        # In
+        radiance: wp.array[wp.vec4h],
+        color: wp.array[wp.vec3],
+        thresholds: wp.array[wp.float32],
+        guesses: wp.array[wp.uint8],
+        # Params
+        first: wp.int32,
+        # Out
+        out_display: wp.array[wp.vec4ub],
+    ):
+        thread = wp.tid() + first
+        block = blocks[thread // PIXEL_BLOCK_AREA]
+        place = pixel_in_block(thread)
+        view = views[block[0]]
+        x, y = block[1] + place[0], block[2] + place[1]
+        if x >= view.width or y >= view.height:
+            return
+        i = pixel_index(view, x, y)
+        value = wp.vec3()
+        if wp.static(half):
+            h = radiance[i]
+            value = wp.vec3(wp.float32(h[0]), wp.float32(h[1]), wp.float32(h[2]))
+        else:
+            value = color[i]
+        mapped = tone(clamp_radiance(value * view.exposure))
+        r = srgb_code(mapped[0], thresholds, guesses)
+        g = srgb_code(mapped[1], thresholds, guesses)
+        b = srgb_code(mapped[2], thresholds, guesses)
+        out_display[i] = wp.vec4ub(r, g, b, wp.uint8(255))
+
+    return display_kernel

@@ -1,0 +1,106 @@
+"""Projection, depth and addressing: the functions every stage shares, so that they agree to the bit.
+
+Pixel coordinates have their origin at the top left, y down, centres at +0.5. Perspective depth is reversed with an
+infinite far plane, z = near / w (Reed 2015, "Depth Precision Visualized"); orthographic depth is linear, 1 at the near
+plane and 0 at the far one.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .structs import (
+    ORTHOGRAPHIC,
+    PIXEL_BLOCK,
+    PIXEL_BLOCK_AREA,
+    Pair,
+    View,
+)
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func_native("return *reinterpret_cast<wp::uint32*>(&value);")
+def float_bits(value: wp.float32) -> wp.uint32:
+    """Reinterpret a float's bits as an integer; monotone for values >= 0."""
+    ...
+
+
+@wp.func_native("return *reinterpret_cast<wp::float32*>(&bits);")
+def bits_float(bits: wp.uint32) -> wp.float32:
+    """Reinterpret an integer's bits as a float."""
+    ...
+
+
+@wp.func
+def pixel_in_block(thread: wp.int32):
+    """Place of a thread inside its block of pixels: (x, y), 8 x 8."""
+    lane = thread % PIXEL_BLOCK_AREA
+    return wp.vec2i(lane % PIXEL_BLOCK, lane // PIXEL_BLOCK)
+
+
+@wp.func
+def pixel_index(view: View, x: wp.int32, y: wp.int32):
+    """Index of a pixel in the arena; arenas are below 2^31 pixels, which the plan checks."""
+    return wp.int32(view.pixel_offset + wp.int64(y) * wp.int64(view.row_pitch)) + x
+
+
+@wp.func
+def to_view(pair: Pair, position: wp.vec3):
+    """Object space to (x_px w, y_px w, w), without the principal point.
+
+    The anchor lies near both camera and mesh, so that the subtraction is exact where it matters: coordinates far from
+    the origin lose nothing.
+    """
+    return pair.matrix * (position - pair.anchor) + pair.offset
+
+
+@wp.func
+def to_homogeneous(view: View, scaled: wp.vec3):
+    """(x_px w, y_px w, w) with the principal point added; w is 1 for orthographic views."""
+    if view.projection == ORTHOGRAPHIC:
+        return wp.vec3(scaled[0] + view.center[0], scaled[1] + view.center[1], 1.0)
+    return wp.vec3(scaled[0] + view.center[0] * scaled[2], scaled[1] + view.center[1] * scaled[2], scaled[2])
+
+
+@wp.func
+def vertex_depth(view: View, distance: wp.float32):
+    """Depth z in the key's sense of a view distance [m]: near / w, or linear for orthographic views (not clamped)."""
+    if view.projection == ORTHOGRAPHIC:
+        return (view.far - distance) / (view.far - view.near)
+    return view.near / distance
+
+
+@wp.func
+def linear_depth(view: View, z: wp.float32):
+    """View distance [m] from depth z; perspective z = 0 gives +inf."""
+    if view.projection == ORTHOGRAPHIC:
+        return view.far - z * (view.far - view.near)
+    return view.near / z
+
+
+@wp.func
+def pixel_ray(view: View, px: wp.float32, py: wp.float32):
+    """View-space direction of a perspective pixel with z = -1, or the offset of an orthographic one with z = 0."""
+    x = (px - view.center[0]) / view.scale[0]
+    y = (py - view.center[1]) / view.scale[1]
+    if view.projection == ORTHOGRAPHIC:
+        return wp.vec3(x, y, 0.0)
+    return wp.vec3(x, y, -1.0)
+
+
+@wp.func
+def relative_position(view: View, px: wp.float32, py: wp.float32, depth: wp.float32):
+    """World-oriented position relative to the eye [m] of a pixel at a linear depth; depth must be finite."""
+    ray = pixel_ray(view, px, py)
+    if view.projection == ORTHOGRAPHIC:
+        return wp.transpose(view.rotation) * wp.vec3(ray[0], ray[1], -depth)
+    return wp.transpose(view.rotation) * (ray * depth)
+
+
+@wp.func
+def view_direction(view: View, relative: wp.vec3):
+    """Unit vector from a surface point towards the viewer, world-oriented."""
+    if view.projection == ORTHOGRAPHIC:
+        return wp.vec3(view.rotation[2, 0], view.rotation[2, 1], view.rotation[2, 2])
+    return wp.normalize(-relative)

@@ -1,0 +1,158 @@
+"""Shade: light every pixel by the lights of its tile, in light order, in float32. One thread a pixel, block size 64.
+
+The loop runs over the summary bits, the mask words they stand for and the lights of each word. A light that does not
+reach adds nothing at all, so any mask that misses none gives the same bits as all of them.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from .brdf import MIN_N_DOT_V, diffuse_albedo, make_reflect
+from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
+from .light_culling import lowest_bit
+from .lights import make_arrive
+from .projection import pixel_in_block, pixel_index, relative_position, view_direction
+from .structs import PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BLOCK_DIM = 64
+OUTPUTS = ("color", "diffuse", "specular", "light_count")
+#: (codec, models, kinds, polynomial, emissive, outputs): what CI compiles.
+VARIANTS = [
+    (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count")),
+    (("compact", "oct24", True), 8, 3, False, True, ()),
+    (("compact", "oct24", True), 8, 4, False, False, ()),
+    (("compact", "oct24", False), 1, 1, False, False, ()),
+    (("compact", "oct24", False), 1, 0, False, False, ()),
+    (("full", "float32", True), 15, 7, True, True, ("color",)),
+]
+
+
+@wp.struct
+class ShadeTarget:
+    """Where lighting goes."""
+
+    radiance: wp.array[wp.vec4h]  # behind the display, where float32 is not asked for
+    color: wp.array[wp.vec3]
+    diffuse: wp.array[wp.vec3]
+    specular: wp.array[wp.vec3]
+    light_count: wp.array[wp.int32]
+
+
+@wp.func
+def finite_radiance(value: wp.float32, limit: wp.float32):
+    """NaN and negative become 0, what is too large the limit: nothing non-finite leaves the pass."""
+    if not (value > 0.0):
+        return wp.float32(0.0)
+    return wp.min(value, limit)
+
+
+@wp.func
+def store_limit(v: wp.vec3, limit: wp.float32):
+    """Apply `finite_radiance` to a colour."""
+    return wp.vec3(finite_radiance(v[0], limit), finite_radiance(v[1], limit), finite_radiance(v[2], limit))
+
+
+@wp.func
+def to_half(v: wp.vec3):
+    """Radiance as half4, clamped to half's range before the cast."""
+    c = store_limit(v, 65504.0)
+    return wp.vec4h(wp.float16(c[0]), wp.float16(c[1]), wp.float16(c[2]), wp.float16(1.0))
+
+
+@functools.cache
+def make_shade_kernel(codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...]):
+    """Kernel that lights the G-buffer.
+
+    Args:
+        codec: Arguments of `make_gbuffer_codec`.
+        models: Bit m: specular model m occurs.
+        kinds: Bit k: light kind k occurs (point, spot, directional).
+        polynomial: Some light has the polynomial fall-off.
+        emissive: Some material emits.
+        outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
+    """
+    decode = make_gbuffer_codec(*codec)[1]
+    reflect = make_reflect(models)
+    arrive = make_arrive(kinds, polynomial)
+
+    @wp.func
+    def write(i: wp.int32, out: ShadeTarget, total: wp.vec3, diffuse: wp.vec3, specular: wp.vec3, count: wp.int32):
+        if wp.static("color" in outputs):
+            out.color[i] = store_limit(total, 3.0e38)
+        else:
+            out.radiance[i] = to_half(total)
+        if wp.static("diffuse" in outputs):
+            out.diffuse[i] = store_limit(diffuse, 3.0e38)
+        if wp.static("specular" in outputs):
+            out.specular[i] = store_limit(specular, 3.0e38)
+        if wp.static("light_count" in outputs):
+            out.light_count[i] = count
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def shade_kernel(
+        # Frame
+        views: wp.array[View],
+        values: wp.array[FrameValues],
+        blocks: wp.array[wp.vec4i],
+        # In
+        gbuffer: GBuffer,
+        emission: wp.array[wp.vec3],
+        lights: Lights,
+        masks: LightMasks,
+        # Params
+        first: wp.int32,
+        # Out
+        out_target: ShadeTarget,
+    ):
+        thread = wp.tid() + first
+        block = blocks[thread // PIXEL_BLOCK_AREA]
+        place = pixel_in_block(thread)
+        view = views[block[0]]
+        x, y = block[1] + place[0], block[2] + place[1]
+        if x >= view.width or y >= view.height:
+            return
+        i = pixel_index(view, x, y)
+        depth = gbuffer.depth[i]
+        zero = wp.vec3()
+        if not wp.isfinite(depth):
+            write(i, out_target, values[0].background, zero, zero, 0)
+            return
+        s = decode(gbuffer, i)
+        diffuse, specular = wp.vec3(), wp.vec3()
+        count = wp.int32(0)
+        if wp.static(kinds != 0):
+            point = relative_position(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
+            v = view_direction(view, point)
+            n_dot_v = wp.max(wp.dot(s.normal, v), MIN_N_DOT_V)
+            tile = view.tile_offset + (y >> masks.tile_shift) * view.tiles_x + (x >> masks.tile_shift)
+            base = block[0] * lights.capacity
+            for group in range(masks.summary_per_tile):
+                summary = masks.summary[tile * masks.summary_per_tile + group]
+                while summary != wp.uint32(0):
+                    word = group * 32 + lowest_bit(summary)
+                    summary = summary & (summary - wp.uint32(1))
+                    bits = masks.words[tile * masks.words_per_tile + word]
+                    while bits != wp.uint32(0):
+                        light = word * 32 + lowest_bit(bits)
+                        bits = bits & (bits - wp.uint32(1))
+                        a = arrive(lights, light, lights.position[base + light], point)
+                        n_dot_l = wp.dot(s.normal, a.direction)
+                        if a.power > 0.0 and n_dot_l > 0.0:
+                            c = lights.color[light]
+                            irradiance = wp.vec3(c[0], c[1], c[2]) * (a.power * n_dot_l)
+                            f = reflect(s, a.direction, v, n_dot_l, n_dot_v)
+                            diffuse += wp.cw_mul(f.diffuse, irradiance)
+                            specular += wp.cw_mul(f.specular, irradiance)
+                            count += 1
+        total = diffuse + specular + wp.cw_mul(diffuse_albedo(s), values[0].ambient) * s.occlusion
+        if wp.static(emissive):
+            if (s.flags & FLAG_EMISSIVE) != 0:
+                total += emission[i]
+        write(i, out_target, total, diffuse, specular, count)
+
+    return shade_kernel

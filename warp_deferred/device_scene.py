@@ -1,0 +1,260 @@
+"""The scene on a device: geometry, materials, instances, and the staging of what a frame may change.
+
+Instances are sorted by world, the ones every world shares first, so that a view's instances are two ranges. Visible
+ids follow the public order of instances, padded to whole clusters, so that id -> instance is one table look-up.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+
+import numpy as np
+import warp as wp
+
+from .clustering import CLUSTER_SIZE, Clusters, cut_clusters, smooth_normals
+from .errors import CapacityError
+from .features import MODELS
+from .kernels import clusters as cluster_kernels
+from .kernels import structs
+from .materials import Material
+from .scene import Mesh, Scene
+from .textures import WRAP_CODES, TextureStore
+
+__all__ = ["DeviceScene"]
+
+MAX_BLOCKS = 2**32 // CLUSTER_SIZE - 1
+MAX_ELEMENTS = 2**31 - 1
+_cut_cache: dict[int, tuple[weakref.ref, Clusters, np.ndarray | None]] = {}
+
+
+def _prepare(mesh: Mesh) -> tuple[Clusters, np.ndarray | None]:
+    """Clusters and normals of a mesh, made once per mesh; None for normals means each face's own."""
+    key = id(mesh.positions)
+    if key not in _cut_cache or _cut_cache[key][0]() is not mesh.positions:
+        normals = mesh.normals
+        if normals is None and mesh.smooth and len(mesh.triangles):
+            normals = smooth_normals(mesh.positions, mesh.triangles)
+        reference = weakref.ref(mesh.positions, lambda _: _cut_cache.pop(key, None))
+        _cut_cache[key] = (reference, cut_clusters(mesh.positions, mesh.triangles), normals)
+    return _cut_cache[key][1:]
+
+
+class DeviceScene:
+    """Everything of a scene that lives on the device and does not depend on the view.
+
+    Attributes:
+        geometry: `structs.Geometry` for kernels.
+        materials: Array of `structs.Material`.
+        triangle_count: Triangles over all instances.
+        cluster_slots: (instance, cluster) pairs.
+        bytes: Device memory held.
+    """
+
+    def __init__(self, scene: Scene, device: wp.Device) -> None:
+        self.device = device
+        self._meshes = list({id(i.mesh): i.mesh for i in scene.instances}.values())
+        prepared = {id(m): _prepare(m) for m in self._meshes}
+        self._check_capacity(scene, prepared)
+        self._order = sorted(range(len(scene.instances)), key=lambda k: (scene.instances[k].world, k))
+        self._textures = TextureStore(device)
+        self._build_materials(scene)
+        self.geometry = structs.Geometry()
+        self._arrays: dict[str, wp.array] = {}
+        self._build_meshes(prepared)
+        self._build_instances(scene, prepared)
+        self.bytes = sum(a.capacity for a in self._arrays.values()) + self._textures.bytes
+        self.update_transforms(scene)
+
+    @staticmethod
+    def _check_capacity(scene: Scene, prepared: dict[int, tuple[Clusters, np.ndarray | None]]) -> None:
+        blocks = sum(-(-len(i.mesh.triangles) // CLUSTER_SIZE) for i in scene.instances)
+        slots = sum(len(prepared[id(i.mesh)][0].first) for i in scene.instances)
+        vertices = sum(len(m.positions) for m in {id(i.mesh): i.mesh for i in scene.instances}.values())
+        for name, got, most in (
+            ("triangles (in blocks of 128 per instance)", blocks, MAX_BLOCKS),
+            ("clusters over all instances", slots, MAX_ELEMENTS),
+            ("vertices over all meshes", vertices, MAX_ELEMENTS),
+        ):
+            if got > most:
+                raise CapacityError(f"Scene: expected at most {most} {name}, got {got}; split the scene")
+
+    def _put(self, name: str, data: np.ndarray, dtype: type) -> wp.array:
+        if not len(data):
+            data = np.zeros((1, *data.shape[1:]), data.dtype)
+        self._arrays[name] = wp.array(data, dtype=dtype, device=self.device)
+        return self._arrays[name]
+
+    def _build_materials(self, scene: Scene) -> None:
+        self._material_of: dict[int, int] = {}
+        rows = []
+        for instance in scene.instances:
+            if id(instance.material) not in self._material_of:
+                self._material_of[id(instance.material)] = len(rows)
+                rows.append(self._material(instance.material))
+        self.material_count = len(rows)
+        self.materials = wp.array(rows or [structs.Material()], dtype=structs.Material, device=self.device)
+
+    def _material(self, m: Material) -> structs.Material:
+        row = structs.Material()
+        row.base_color = wp.vec4(*m.base_color)
+        row.emissive = wp.vec3(*m.emissive)
+        row.metallic, row.roughness = m.metallic, m.roughness
+        row.specular, row.shininess = wp.vec3(*m.specular), m.shininess
+        row.occlusion_strength, row.alpha_cutoff = m.occlusion_strength, m.alpha_cutoff
+        row.model = MODELS[m.model]
+        for bit, (name, texture) in enumerate(
+            zip(("base_color", "metallic_roughness", "emissive", "occlusion"), m.textures, strict=True)
+        ):
+            if texture is None:
+                continue
+            row.textured |= 1 << bit
+            setattr(row, f"{name}_texture", self._textures.filtered(texture))
+            setattr(row, f"{name}_size", wp.vec2(float(texture.pixels.shape[1]), float(texture.pixels.shape[0])))
+        if m.alpha_mode == "mask":
+            row.flags |= int(structs.FLAG_MASKED)
+            if m.base_color_texture is not None:
+                row.mask_texture = self._textures.mask(m.base_color_texture)
+                row.mask_wrap = wp.vec2i(*(WRAP_CODES[w] for w in m.base_color_texture.wrap))
+        return row
+
+    def _build_meshes(self, prepared: dict[int, tuple[Clusters, np.ndarray | None]]) -> None:
+        self._first_triangle, self._first_cluster = {}, {}
+        vertex = triangle = cluster_row = cluster = 0
+        parts: dict[str, list[np.ndarray]] = {k: [] for k in ("positions", "normals", "uvs", "colors", "triangles", "rows", "clusters")}
+        any_normals = any(n is not None for _, n in prepared.values())
+        any_uvs = any(m.uvs is not None for m in self._meshes)
+        any_colors = any(m.colors is not None for m in self._meshes)
+        for mesh in self._meshes:
+            cut, normals = prepared[id(mesh)]
+            count = len(mesh.positions)
+            self._first_triangle[id(mesh)], self._first_cluster[id(mesh)] = triangle, cluster
+            parts["positions"].append(mesh.positions)
+            if any_normals:
+                parts["normals"].append(np.zeros((count, 3), np.float32) if normals is None else normals)
+            if any_uvs:
+                parts["uvs"].append(np.zeros((count, 2), np.float32) if mesh.uvs is None else mesh.uvs)
+            if any_colors:
+                parts["colors"].append(np.ones((count, 4), np.float32) if mesh.colors is None else mesh.colors)
+            parts["triangles"].append(mesh.triangles + vertex)
+            parts["rows"].append(cut.triangles + np.array([vertex, vertex, vertex, 0], np.int32))
+            table = np.zeros(len(cut.first), np.dtype(structs.Cluster.numpy_dtype()))
+            for name in ("center", "radius", "axis", "cutoff", "count"):
+                table[name] = getattr(cut, name)
+            table["first"] = cut.first + cluster_row
+            parts["clusters"].append(table)
+            vertex += count
+            triangle += len(mesh.triangles)
+            cluster_row += len(cut.triangles)
+            cluster += len(cut.first)
+        empty = {"uvs": (0, 2), "colors": (0, 4), "rows": (0, 4)}
+        joined = {k: np.concatenate(p) if p else np.zeros(empty.get(k, (0, 3)), np.float32) for k, p in parts.items()}
+        if not parts["clusters"]:
+            joined["clusters"] = np.zeros(0, np.dtype(structs.Cluster.numpy_dtype()))
+        g = self.geometry
+        g.positions = self._put("positions", joined["positions"], wp.vec3)
+        g.normals = self._put("normals", joined["normals"], wp.vec3)
+        g.uvs = self._put("uvs", joined["uvs"], wp.vec2)
+        g.colors = self._put("colors", joined["colors"], wp.vec4)
+        g.triangles = self._put("triangles", joined["triangles"].astype(np.int32), wp.vec3i)
+        g.cluster_triangles = self._put("cluster_triangles", joined["rows"].astype(np.int32), wp.vec4i)
+        g.clusters = self._put("clusters", joined["clusters"], structs.Cluster)
+
+    def _build_instances(self, scene: Scene, prepared: dict[int, tuple[Clusters, np.ndarray | None]]) -> None:
+        instances = scene.instances
+        sizes = [-(-len(i.mesh.triangles) // CLUSTER_SIZE) for i in instances]
+        bases = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        table = np.zeros(len(instances), np.dtype(structs.Instance.numpy_dtype()))
+        blocks = np.zeros(int(bases[-1]), np.int32)
+        slots: list[np.ndarray] = []
+        starts: dict[int, tuple[int, int]] = {}
+        slot_count = 0
+        for place, k in enumerate(self._order):
+            instance, mesh = instances[k], instances[k].mesh
+            cut, normals = prepared[id(mesh)]
+            row = table[place]
+            row["mesh_origin"] = mesh.origin
+            if len(mesh.positions):
+                row["bounds_low"], row["bounds_high"] = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+            extent = float((row["bounds_high"] - row["bounds_low"]).max())
+            row["anchor_grid"] = 2.0 ** (math.floor(math.log2(extent)) - 6) if extent > 0.0 else 1.0
+            row["id_base"] = bases[k] * CLUSTER_SIZE
+            row["public_id"], row["triangle_first"] = k, self._first_triangle[id(mesh)]
+            row["material"], row["label"] = self._material_of[id(instance.material)], instance.label
+            m = instance.material
+            row["flags"] = (
+                int(structs.FLAG_TWO_SIDED) * m.two_sided
+                + int(structs.FLAG_MASKED) * (m.alpha_mode == "mask")
+                + int(structs.FLAG_SMOOTH) * (normals is not None)
+                + int(structs.FLAG_COLORS) * (mesh.colors is not None)
+            )
+            blocks[bases[k] : bases[k + 1]] = place
+            starts.setdefault(instance.world, (place, slot_count))
+            pairs = np.empty((len(cut.first), 2), np.int32)
+            pairs[:, 0], pairs[:, 1] = place, self._first_cluster[id(mesh)] + np.arange(len(cut.first))
+            slots.append(pairs)
+            slot_count += len(pairs)
+        self.instance_count = len(instances)
+        self.cluster_slots = slot_count
+        self.triangle_count = sum(len(i.mesh.triangles) for i in instances)
+        self._ranges(starts)
+        g = self.geometry
+        g.slots = self._put("slots", np.concatenate(slots) if slots else np.zeros((0, 2), np.int32), wp.vec2i)
+        g.instances = self._put("instances", table, structs.Instance)
+        g.id_blocks = self._put("id_blocks", blocks, wp.int32)
+        g.transforms = wp.zeros(max(len(instances), 1), dtype=structs.Transform, device=self.device)
+        self._arrays["transforms"] = g.transforms
+        self._transform_table = np.zeros(max(len(instances), 1), np.dtype(structs.Transform.numpy_dtype()))
+
+    def _ranges(self, starts: dict[int, tuple[int, int]]) -> None:
+        """World -> (first instance, instances, first slot, slots); -1 is what every world shares."""
+        worlds = sorted(starts)
+        ends = [starts[w] for w in worlds[1:]] + [(self.instance_count, self.cluster_slots)]
+        self._world_ranges = {
+            w: (starts[w][0], e[0] - starts[w][0], starts[w][1], e[1] - starts[w][1]) for w, e in zip(worlds, ends, strict=True)
+        }
+
+    def view_range(self, world: int) -> tuple[int, int, int, int, int, int]:
+        """(shared instances, own first, own count, shared slots, own first slot, own slots) of a view of that world."""
+        _, shared, _, shared_slots = self._world_ranges.get(-1, (0, 0, 0, 0))
+        if world < 0:
+            return (self.instance_count, 0, 0, self.cluster_slots, 0, 0)
+        first, count, slot, slots = self._world_ranges.get(world, (0, 0, 0, 0))
+        return (shared, first, count, shared_slots, slot, slots)
+
+    def update_transforms(self, scene: Scene) -> None:
+        """Upload the host's transforms, mesh origins folded in; float64 origins, float32 linear parts."""
+        table = self._transform_table
+        instances = scene.instances
+        for place, k in enumerate(self._order):
+            matrix = instances[k].transform
+            row = table[place]
+            row["linear"] = matrix[:3, :3]
+            origin = instances[k].mesh.origin
+            row["origin"] = matrix[:3, :3] @ origin + matrix[:3, 3] if origin.any() else matrix[:3, 3]
+        self.geometry.transforms.assign(wp.array(table, dtype=structs.Transform, device="cpu"))
+
+    def stage_transforms(self, bound: object) -> None:
+        """Copy bound device transforms into the staging, on the device."""
+        array = as_float_array(bound, self.device)
+        kernel = cluster_kernels.stage_poses_kernel if array.ndim == 2 else cluster_kernels.stage_matrices_kernel
+        wp.launch(
+            kernel,
+            dim=self.instance_count,
+            inputs=[self.geometry.instances, array],
+            outputs=[self.geometry.transforms],
+            device=self.device,
+            block_dim=cluster_kernels.BLOCK_DIM,
+        )
+
+
+def as_float_array(value: object, device: wp.Device) -> wp.array:
+    """See a Warp, torch or JAX array as a Warp array of plain float32 on the device, without a copy where it can be."""
+    array = value if isinstance(value, wp.array) else wp.from_dlpack(value)
+    if array.device != device:
+        array = array.to(device)
+    lengths = getattr(array.dtype, "_shape_", ())
+    if not lengths:
+        return array
+    shape = (*array.shape, *lengths)
+    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=device, copy=False) if array.is_contiguous else as_float_array(array.contiguous(), device)

@@ -1,0 +1,127 @@
+"""Reports for people: what a plan runs and why, and where its memory is."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+from typing import Any
+
+from .device_scene import DeviceScene
+from .plan import PassReport, Plan
+from .scene import Scene
+
+__all__ = ["Explanation", "MemoryReport"]
+
+
+def _size(count: int | None) -> str:
+    if count is None:
+        return ""
+    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
+
+
+def _table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) -> str:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=None, header_style="bold", pad_edge=False)
+    for name, side in columns:
+        table.add_column(name, justify=side, no_wrap=name != "why")
+    for row in rows:
+        table.add_row(*row)
+    stream = io.StringIO()
+    Console(file=stream, width=110, color_system=None).print(table)
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())
+
+
+@dataclasses.dataclass(frozen=True)
+class Explanation:
+    """What runs, why, and what it costs; `str()` is a table.
+
+    Attributes:
+        title: The scene and the device.
+        rows: One report a pass, in frame order.
+        notes: Counts and remarks.
+    """
+
+    title: str
+    rows: list[PassReport]
+    notes: list[str]
+
+    @classmethod
+    def of(cls, scene: Scene, plan: Plan, rows: list[PassReport]) -> Explanation:
+        """Gather a plan's reports."""
+        sizes = plan.layout.sizes
+        views = f"{len(sizes)} views of " if len(sizes) > 1 else ""
+        title = f"{scene.name or 'scene'} at {views}{sizes[0].width}x{sizes[0].height} on {plan.resources.device}"
+        notes = [
+            f"{plan.resources.scene.triangle_count:,} triangles in {plan.resources.scene.cluster_slots:,} clusters, "
+            f"{plan.resources.scene.instance_count:,} instances, {len(scene.lights):,} lights",
+            f"buffers {_size(plan.bytes)} beside the scene's {_size(plan.resources.scene.bytes)}",
+        ]
+        notes += plan.counters()
+        return cls(title, rows, notes + list(scene.notes))
+
+    def __str__(self) -> str:
+        total = [r.milliseconds for r in self.rows if r.milliseconds is not None]
+        rows = [
+            [
+                r.name,
+                "runs" if r.runs else "-",
+                r.rung,
+                "" if r.milliseconds is None else f"{r.milliseconds:.3f}",
+                _size(r.bytes) if r.runs else "",
+                r.reason,
+            ]
+            for r in self.rows
+        ]
+        if total:
+            rows.append(["sum", "", "", f"{sum(total):.3f}", "", ""])
+        columns = [("pass", "left"), ("", "left"), ("rung", "left"), ("ms", "right"), ("bytes", "right"), ("why", "left")]
+        return _table(self.title, columns, rows) + "\n" + "\n".join(f"  {note}" for note in self.notes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, for JSON."""
+        return {"title": self.title, "passes": [dataclasses.asdict(r) for r in self.rows], "notes": self.notes}
+
+
+@dataclasses.dataclass(frozen=True)
+class MemoryReport:
+    """Device memory of a plan by buffer; `str()` is a table.
+
+    Attributes:
+        buffers: Name -> bytes the buffer needs by itself.
+        shared: Bytes of the arena that transient buffers share.
+        outputs: Bytes of the outputs.
+        tables: Bytes of tables, views and lights.
+        scene: Bytes of geometry, materials and textures.
+    """
+
+    buffers: dict[str, int]
+    shared: int
+    outputs: int
+    tables: int
+    scene: int
+
+    @classmethod
+    def of(cls, plan: Plan, scene: DeviceScene) -> MemoryReport:
+        """Gather a plan's memory."""
+        r = plan.resources
+        tables = sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.size + r.lights.bytes
+        outputs = sum(a.capacity if a.capacity else a.size * 4 for a in (r.channels[n] for n in plan.outputs))
+        return cls(dict(plan.memory), plan.arena.capacity, outputs, tables, scene.bytes)
+
+    @property
+    def total(self) -> int:
+        """Bytes beside the scene."""
+        return self.shared + self.outputs + self.tables
+
+    def __str__(self) -> str:
+        rows = [[name, _size(size)] for name, size in sorted(self.buffers.items(), key=lambda kv: -kv[1])]
+        rows += [["transient buffers share", _size(self.shared)], ["outputs", _size(self.outputs)]]
+        rows += [["tables, views, lights", _size(self.tables)], ["beside the scene", _size(self.total)]]
+        rows += [["scene", _size(self.scene)]]
+        return _table("device memory", [("buffer", "left"), ("bytes", "right")], rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data, for JSON."""
+        return dataclasses.asdict(self) | {"total": self.total}

@@ -1,0 +1,61 @@
+"""Display: exposure, tone mapping and sRGB encoding."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ..kernels import color as color_kernels
+from ..kernels import display as kernels
+from ..program import FIRST
+from ..resources import Resources
+from .base import Buffer, Pass
+from .shade import ShadePass
+
+__all__ = ["DisplayPass"]
+
+
+class DisplayPass(Pass):
+    """The picture people look at."""
+
+    name = "display"
+    doc = "expose, tone map and encode"
+
+    def called_for(self) -> str | None:
+        """Only for its own output."""
+        return "'display' was asked for" if "display" in self.request.outputs else None
+
+    def rung(self) -> str:
+        """Tone curve."""
+        return self.request.settings.display.tone_mapping
+
+    @property
+    def half(self) -> bool:
+        """Whether it reads half radiance."""
+        return not ShadePass(self.request, self.layout).float_color
+
+    def reads(self) -> tuple[str, ...]:
+        """Radiance."""
+        return ("radiance",) if self.half else ("color",)
+
+    def writes(self) -> dict[str, Buffer]:
+        """sRGB bytes."""
+        return {"display": Buffer(wp.vec4ub, max(self.layout.pixels, 1))}
+
+    def prepare(self, resources: Resources) -> None:
+        """Fetch the kernel, upload the code tables."""
+        self.kernel = kernels.make_display_kernel(self.request.settings.display.tone_mapping, self.half)
+        thresholds, guesses = color_kernels.srgb_tables()
+        self.thresholds = wp.array(thresholds, dtype=wp.float32, device=resources.device)
+        self.guesses = wp.array(guesses, dtype=wp.uint8, device=resources.device)
+
+    def run(self, resources: Resources) -> None:
+        """One launch."""
+        radiance, color = resources.channel("radiance", wp.vec4h), resources.channel("color", wp.vec3)
+        inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, self.guesses, FIRST]
+        resources.program.launch(
+            self.kernel, len(self.layout.blocks) * 64, inputs, [resources.channels["display"]], block_dim=kernels.BLOCK_DIM, band=64
+        )
+
+    def bytes_moved(self) -> int:
+        """Radiance in, bytes out."""
+        return self.layout.pixels * ((8 if self.half else 12) + 4)

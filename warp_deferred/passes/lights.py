@@ -1,0 +1,49 @@
+"""Lights: stage every light for every view, positions relative to the eye."""
+
+from __future__ import annotations
+
+from ..kernels import lights as kernels
+from ..program import FIRST
+from ..resources import Resources
+from .base import Buffer, Pass
+from .resolve import needs_gbuffer
+
+__all__ = ["LightsPass"]
+
+
+class LightsPass(Pass):
+    """Lights as shading reads them."""
+
+    name = "lights"
+    doc = "stage lights relative to each view"
+
+    def called_for(self) -> str | None:
+        """Lights, and something lit by them."""
+        if self.request.features.kinds and needs_gbuffer(self.request):
+            infinite = self.request.features.infinite_lights
+            return "the scene has lights" + (f" ({infinite} without a range, in every tile)" if infinite else "")
+        return None
+
+    def reads(self) -> tuple[str, ...]:
+        """Nothing but the scene."""
+        return ()
+
+    def writes(self) -> dict[str, Buffer]:
+        """The staged lights live in the light store."""
+        return {"staged_lights": Buffer(None, 0)}
+
+    def prepare(self, resources: Resources) -> None:
+        """Nothing to build."""
+
+    def run(self, resources: Resources) -> None:
+        """One launch."""
+        lights, frame = resources.lights, resources.frame
+        resources.program.launch(
+            kernels.stage_lights_kernel, (len(self.layout.sizes), lights.capacity), [frame.views, frame.values, lights.source, FIRST],
+            [lights.staged], block_dim=kernels.BLOCK_DIM,
+        )  # fmt: skip
+
+    def bytes_moved(self) -> int:
+        """Source in, staged out."""
+        capacity = self.request.features.light_capacity
+        return capacity * (100 + 64) + capacity * len(self.layout.sizes) * 16

@@ -1,0 +1,166 @@
+"""Raster: clusters to visibility keys, small triangles in their own lane, large ones through bins."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ..kernels import bins as bin_kernels
+from ..kernels import merge as merge_kernels
+from ..kernels import raster as kernels
+from ..kernels import structs
+from ..program import FIRST
+from ..resources import Resources
+from .base import Buffer, Pass
+
+__all__ = ["RasterPass"]
+
+#: Blocks of the fixed grid; measured best on an H200 (design, section 5).
+GRID_BLOCKS = 8192
+CAREFUL_BLOCKS = 1024
+BIN_LANES = 128
+BIN_GROUPS = 1056
+
+
+class RasterPass(Pass):
+    """Nearest surface of every pixel."""
+
+    name = "raster"
+    doc = "draw triangles into visibility keys"
+
+    def called_for(self) -> str | None:
+        """Whatever is seen goes through it."""
+        return "the scene has triangles" if self.request.candidates else "clears the keys: the scene is empty"
+
+    def reads(self) -> tuple[str, ...]:
+        """The work list."""
+        return ("pairs", "work_entries", "work_counts") if self.request.candidates else ()
+
+    def rung(self) -> str:
+        """Bins or not."""
+        return "two paths" if self.binned else "one path"
+
+    @property
+    def binned(self) -> bool:
+        """Whether large triangles go to bins; on the CPU a lane is a loop already, so only when asked for."""
+        raster = self.request.settings.raster
+        wanted = raster.bins == "on" or (raster.bins == "auto" and self.request.threads == 0)
+        return wanted and raster.large_capacity > 0 and self.request.candidates > 0
+
+    @property
+    def slices(self) -> int:
+        """Host threads that draw, each into its own keys; counters allow only one."""
+        return 1 if self.binned or not self.request.candidates else max(1, self.request.threads)
+
+    def writes(self) -> dict[str, Buffer]:
+        """Keys, and the store of large triangles."""
+        layout, raster = self.layout, self.request.settings.raster
+        result = {"keys": Buffer(wp.uint64, max(layout.pixels, 1))}
+        if layout.has_depth_views:
+            result["depth_keys"] = Buffer(wp.uint32, layout.depth_pixels)
+        if self.slices > 1:
+            result["slice_keys"] = Buffer(wp.uint64, layout.pixels * (self.slices - 1))
+            if layout.has_depth_views:
+                result["slice_depth_keys"] = Buffer(wp.uint32, layout.depth_pixels * (self.slices - 1))
+        if self.binned:
+            tiles = len(layout.bin_tiles)
+            result["large_triangles"] = Buffer(structs.LargeTriangle, raster.large_capacity)
+            result["large_count"] = Buffer(wp.int32, 1, lasting=True)
+            result["bin_entries"] = Buffer(wp.int32, max(raster.bin_capacity, 1))
+            result |= {name: Buffer(wp.int32, tiles, lasting=True) for name in ("bin_counts", "bin_offsets", "bin_cursors")}
+        return result
+
+    def prepare(self, resources: Resources) -> None:
+        """Fetch kernels, build targets."""
+        depth_views, masked = self.layout.has_depth_views, self.request.features.masked
+        self.plain = kernels.make_raster_kernel(False, False, depth_views, False)
+        self.careful = kernels.make_raster_kernel(True, masked, depth_views, False)
+        none = wp.zeros(0, dtype=structs.LargeTriangle, device=resources.device)
+        self.targets = []
+        for k in range(self.slices):
+            target = structs.RasterTarget()
+            target.keys = self._slice(resources, "keys", wp.uint64, self.layout.pixels, k)
+            target.depth_keys = self._slice(resources, "depth_keys", wp.uint32, self.layout.depth_pixels, k)
+            target.large = resources.channels.get("large_triangles", none)
+            target.large_count = resources.channel("large_count", wp.int32)
+            target.behind = wp.zeros(1, dtype=wp.uint64, device=resources.device)
+            self.targets.append(target)
+        if self.binned:
+            self.bin_triangles, self.draw_bins = bin_kernels.make_bin_kernels(depth_views, False)
+            self.bins = bin_kernels.Bins()
+            for field in ("counts", "offsets", "cursors", "entries"):
+                setattr(self.bins, field, resources.channels[f"bin_{field}"])
+            if self.request.settings.raster.bin_capacity == 0:
+                self.bins.entries = wp.zeros(0, dtype=wp.int32, device=resources.device)
+
+    @staticmethod
+    def _slice(resources: Resources, name: str, dtype: type, count: int, k: int) -> wp.array:
+        if count == 0:
+            return wp.zeros(1, dtype=dtype, device=resources.device)
+        if k == 0:
+            return resources.channels[name]
+        return resources.channels[f"slice_{name}"][(k - 1) * count : k * count]
+
+    def run(self, resources: Resources) -> None:
+        """Clear, draw, bin, merge."""
+        program = resources.program
+        for name in ("keys", "depth_keys", "slice_keys", "slice_depth_keys", "large_count", "bin_counts", "bin_cursors"):
+            if name in resources.channels:
+                program.call(resources.channels[name].zero_)
+        if not self.request.candidates:
+            return
+        self._draw(resources, self.plain, GRID_BLOCKS)
+        self._draw(resources, self.careful, CAREFUL_BLOCKS)
+        if self.binned:
+            self._bin(resources)
+        if self.slices > 1:
+            self._merge(resources)
+
+    def _draw(self, resources: Resources, kernel: object, grid: int) -> None:
+        frame, scene, channels = resources.frame, resources.scene, resources.channels
+        work = structs.WorkList()
+        work.entries, work.counts = channels["work_entries"], channels["work_counts"]
+        fixed = [frame.views, scene.geometry, scene.materials, channels["pairs"], work]
+        cluster = int(structs.CLUSTER_SIZE)
+        launches = []
+        if resources.device.is_cuda:
+            blocks = min(grid, self.request.candidates)
+            launches.append((blocks * cluster, [*fixed, 0, 1, blocks], [self.targets[0]]))
+        else:
+            for k, target in enumerate(self.targets):
+                count = -(-(self.request.candidates - k) // self.slices)
+                launches.append((count * cluster, [*fixed, k, self.slices, 2**30], [target]))
+        resources.program.launch_each(kernel, launches, block_dim=kernels.BLOCK_DIM)
+
+    def _bin(self, resources: Resources) -> None:
+        program, views, target = resources.program, resources.frame.views, self.targets[0]
+        lanes = BIN_LANES if resources.device.is_cuda else 1
+        groups = BIN_GROUPS if resources.device.is_cuda else 1
+        counts, offsets = self.bins.counts, self.bins.offsets
+
+        def bin_step(filling: int) -> None:
+            program.launch(
+                self.bin_triangles, lanes * groups, [views, target, lanes, groups, filling], [self.bins], block_dim=bin_kernels.BLOCK_DIM
+            )
+
+        bin_step(0)
+        program.call(lambda: wp.utils.array_scan(counts, offsets, inclusive=False))
+        bin_step(1)
+        program.launch(
+            self.draw_bins, len(self.layout.bin_tiles) * int(structs.BIN_TILE_AREA), [views, resources.bin_tiles, self.bins], [target],
+            block_dim=bin_kernels.BLOCK_DIM,
+        )  # fmt: skip
+
+    def _merge(self, resources: Resources) -> None:
+        for name, count, kernel in (
+            ("keys", self.layout.pixels, merge_kernels.merge_keys_kernel),
+            ("depth_keys", self.layout.depth_pixels, merge_kernels.merge_depth_keys_kernel),
+        ):
+            if count:
+                resources.program.launch(
+                    kernel, count, [resources.channels[f"slice_{name}"], count, self.slices - 1, FIRST], [resources.channels[name]],
+                    block_dim=merge_kernels.BLOCK_DIM, band=64,
+                )  # fmt: skip
+
+    def bytes_moved(self) -> int:
+        """Keys cleared and written once; triangle indices read."""
+        return self.layout.pixels * 16 + self.layout.depth_pixels * 8 + self.request.candidates * 128 * 16

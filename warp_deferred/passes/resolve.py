@@ -1,0 +1,135 @@
+"""Resolve: visibility keys to G-buffer, depth and layers."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ..kernels import resolve as kernels
+from ..kernels import structs
+from ..kernels.resolve import LAYER_NAMES
+from ..program import FIRST
+from ..resources import Resources
+from .base import Buffer, Pass, Request
+
+__all__ = ["ResolvePass", "gbuffer_buffers", "gbuffer_codec", "make_gbuffer", "needs_gbuffer"]
+
+LAYER_TYPES = {
+    "normal": wp.vec3, "position": wp.vec3, "albedo": wp.vec3, "alpha": wp.float32, "instance_id": wp.int32,
+    "semantic_id": wp.int32, "material_id": wp.int32, "triangle_id": wp.int32,
+}  # fmt: skip
+LIT_OUTPUTS = ("color", "display", "diffuse", "specular", "light_count")
+GBUFFER_FIELDS = {
+    "normal": wp.uint32, "normal_wide": wp.uint32, "albedo": wp.uint32, "extra": wp.uint32,
+    "full_normal": wp.vec4, "full_albedo": wp.vec4, "full_extra": wp.vec4,
+}  # fmt: skip
+
+
+def needs_gbuffer(request: Request) -> bool:
+    """Whether some output is lit."""
+    return any(name in request.outputs for name in LIT_OUTPUTS)
+
+
+def gbuffer_codec(request: Request) -> tuple[str, str, bool]:
+    """Arguments of `make_gbuffer_codec` for a request."""
+    settings = request.settings.gbuffer
+    if settings.rung == "full":
+        return ("full", "float32", request.features.extra)
+    return ("compact", settings.normal, request.features.extra)
+
+
+def gbuffer_buffers(request: Request, layout: object) -> dict[str, Buffer]:
+    """Channels of the G-buffer under the request's codec, depth apart."""
+    rung, normal, extra = gbuffer_codec(request)
+    if rung == "full":
+        names = ["full_normal", "full_albedo"] + ["full_extra"] * extra
+    else:
+        names = ["normal", "albedo"] + ["extra"] * extra
+        names += ["normal_wide"] * (normal in ("xy16", "oct32")) + ["full_normal"] * (normal == "float32")
+    return {f"gbuffer_{n}": Buffer(GBUFFER_FIELDS[n], max(layout.pixels, 1)) for n in names}
+
+
+def make_gbuffer(resources: Resources) -> structs.GBuffer:
+    """Struct over the G-buffer channels of a plan; missing ones are one element long and never touched."""
+    result = structs.GBuffer()
+    result.depth = resources.channel("depth", wp.float32)
+    for name, dtype in GBUFFER_FIELDS.items():
+        setattr(result, name, resources.channel(f"gbuffer_{name}", dtype))
+    return result
+
+
+class ResolvePass(Pass):
+    """Surface attributes of every pixel."""
+
+    name = "resolve"
+    doc = "turn keys into surface attributes"
+
+    @property
+    def layers(self) -> tuple[str, ...]:
+        """Layers asked for."""
+        return tuple(n for n in LAYER_NAMES if n in self.request.outputs)
+
+    @property
+    def resolves(self) -> bool:
+        """Whether more than depth is wanted."""
+        return needs_gbuffer(self.request) or bool(self.layers)
+
+    def called_for(self) -> str | None:
+        """Some output shows a surface."""
+        if needs_gbuffer(self.request):
+            return "an output is lit"
+        names = [n for n in (*LAYER_NAMES, "depth") if n in self.request.outputs]
+        return f"{', '.join(names)} asked for" if names else None
+
+    def rung(self) -> str:
+        """Codec."""
+        if not needs_gbuffer(self.request):
+            return "layers only"
+        rung, normal, _ = gbuffer_codec(self.request)
+        return rung if rung == "full" else f"{rung}, {normal}"
+
+    def reads(self) -> tuple[str, ...]:
+        """Keys and pairs."""
+        return ("keys", "pairs") if self.request.candidates else ("keys",)
+
+    def writes(self) -> dict[str, Buffer]:
+        """Depth, G-buffer, layers."""
+        count = max(self.layout.pixels, 1)
+        result = {name: Buffer(LAYER_TYPES[name], count) for name in self.layers}
+        if needs_gbuffer(self.request) or "depth" in self.request.outputs:
+            result["depth"] = Buffer(wp.float32, count)
+        if needs_gbuffer(self.request):
+            result |= gbuffer_buffers(self.request, self.layout)
+            if self.request.features.emissive:
+                result["emission"] = Buffer(wp.vec3, count)
+        return result
+
+    def prepare(self, resources: Resources) -> None:
+        """Fetch the kernel, build the structs."""
+        features = self.request.features
+        codec = gbuffer_codec(self.request) if needs_gbuffer(self.request) else None
+        self.kernel = kernels.make_resolve_kernel(
+            codec, self.layers, features.textured, features.colors, features.emissive and codec is not None
+        )
+        self.gbuffer = make_gbuffer(resources)
+        self.out = structs.Layers()
+        for name, dtype in LAYER_TYPES.items():
+            setattr(self.out, name, resources.channel(name, dtype))
+        self.out.emissive = resources.channel("emission", wp.vec3)
+
+    def run(self, resources: Resources) -> None:
+        """Attributes, and depth alone where nothing else is wanted."""
+        frame, channels, program = resources.frame, resources.channels, resources.program
+        threads = len(self.layout.blocks) * 64
+        if self.resolves:
+            pairs = resources.channel("pairs", structs.Pair)
+            inputs = [frame.views, resources.blocks, resources.scene.geometry, resources.scene.materials, pairs, channels["keys"], FIRST]
+            program.launch(self.kernel, threads, inputs, [self.gbuffer, self.out], block_dim=kernels.BLOCK_DIM, band=64)
+        if "depth" in channels and not needs_gbuffer(self.request):
+            inputs = [frame.views, resources.blocks, channels["keys"], FIRST]
+            program.launch(kernels.depth_layer_kernel, threads, inputs, [channels["depth"]], block_dim=kernels.BLOCK_DIM, band=64)
+
+    def bytes_moved(self) -> int:
+        """Keys in, channels out; a triangle's vertices are counted once a triangle, up to one a pixel."""
+        written = sum(wp.types.type_size_in_bytes(b.dtype) for b in self.writes().values()) * self.layout.pixels
+        triangles = min(self.request.candidates * 128, self.layout.pixels)
+        return self.layout.pixels * 8 + written + triangles * (12 + 36)

@@ -1,0 +1,207 @@
+"""The plan: keeps the passes that are called for, orders them, allocates, builds the program, explains itself.
+
+From the outputs asked for, backwards: a pass runs if something it writes is read by a pass that runs or was asked for,
+and if the scene, the cameras or the settings call for it. Buffers whose lives do not overlap share memory; outputs
+keep theirs until the next frame.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+from collections.abc import Callable
+
+import warp as wp
+
+from .device_scene import DeviceScene
+from .errors import Error
+from .light_store import LightStore
+from .passes.base import Buffer, Pass, Request
+from .passes.clusters import ClustersPass
+from .passes.display import DisplayPass
+from .passes.light_culling import LightCullingPass
+from .passes.lights import LightsPass
+from .passes.raster import RasterPass
+from .passes.resolve import ResolvePass
+from .passes.shade import ShadePass
+from .program import Program
+from .resources import Resources
+from .views import ViewLayout, ViewPacker
+
+__all__ = ["PASSES", "PassReport", "Plan"]
+
+#: Every pass, in frame order.
+PASSES: tuple[type[Pass], ...] = (
+    ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
+)  # fmt: skip
+ALIGNMENT = 256
+
+
+@dataclasses.dataclass(frozen=True)
+class PassReport:
+    """One line of `explain`."""
+
+    name: str
+    runs: bool
+    reason: str
+    rung: str
+    milliseconds: float | None = None
+    bytes: int | None = None
+
+
+class Plan:
+    """A frame's passes, buffers and recorded launches for one request.
+
+    Attributes:
+        request: What it was built for.
+        layout: Where the views lie.
+        passes: The passes that run, in order.
+        packer: Writes cameras into the frame block.
+        resources: Buffers and tables.
+    """
+
+    def __init__(
+        self, request: Request, scene: DeviceScene, lights: LightStore, progress: Callable[[str, int, int], None] | None = None
+    ) -> None:
+        self.request = request
+        self.layout = ViewLayout(request.sizes, request.settings.light_culling.tile_size)
+        self.packer = ViewPacker(self.layout, request.settings.raster.cull)
+        self._reports: list[PassReport] = []
+        self.passes = self._select()
+        self._verify()
+        program = Program(scene.device, request.threads)
+        self.resources = Resources.make(scene, lights, self.layout, program)
+        self._allocate()
+        for stage in self.passes:
+            stage.prepare(self.resources)
+            program.begin(stage.name)
+            stage.run(self.resources)
+        program.load(progress)
+        self._captured = False
+
+    def _select(self) -> list[Pass]:
+        needed = set(self.request.outputs)
+        kept: list[Pass] = []
+        for kind in reversed(PASSES):
+            stage = kind(self.request, self.layout)
+            reason = stage.called_for()
+            writes = set(stage.writes()) if reason else set()
+            if reason and writes & needed:
+                kept.append(stage)
+                needed |= set(stage.reads())
+                self._reports.append(PassReport(stage.name, True, reason, stage.rung(), bytes=stage.bytes_moved()))
+            else:
+                self._reports.append(PassReport(stage.name, False, self._why_not(stage, reason), "off"))
+        self._reports.reverse()
+        kept.reverse()
+        return kept
+
+    def _why_not(self, stage: Pass, reason: str | None) -> str:
+        if reason:
+            return "no output asked for reads what it writes"
+        if stage.name in ("lights", "light_culling"):
+            return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
+        if stage.name == "clusters":
+            return "the scene has no triangles"
+        return "no output asked for needs it"
+
+    def _verify(self) -> None:
+        written: set[str] = set()
+        for stage in self.passes:
+            for name in stage.reads():
+                if name not in written:
+                    raise Error(
+                        f"{type(stage).__name__} reads {name!r}: expected an earlier pass that writes it, got none; "
+                        "add the pass or ask for another output"
+                    )
+            written |= set(stage.writes())
+        missing = self.request.outputs - written
+        if missing:
+            raise Error(f"outputs: expected names some pass writes, got {sorted(missing)}; leave them out")
+
+    def _allocate(self) -> None:
+        buffers: dict[str, Buffer] = {}
+        born: dict[str, int] = {}
+        dies: dict[str, int] = {}
+        for k, stage in enumerate(self.passes):
+            for name, buffer in stage.writes().items():
+                if buffer.dtype is not None:
+                    buffers[name], born[name] = buffer, k
+                    dies[name] = len(self.passes) if buffer.lasting else k
+            for name in stage.reads():
+                dies[name] = max(dies.get(name, k), k)
+        transient = [n for n in buffers if n not in self.request.outputs]
+        sizes = {n: _padded(b.count * wp.types.type_size_in_bytes(b.dtype)) for n, b in buffers.items()}
+        places, total = _place(transient, sizes, born, dies)
+        device = self.resources.device
+        self.arena = wp.zeros(max(total, 1), dtype=wp.uint8, device=device)
+        channels = self.resources.channels
+        for name in transient:
+            buffer = buffers[name]
+            channels[name] = wp.array(
+                ptr=self.arena.ptr + places[name], dtype=buffer.dtype, shape=(buffer.count,), device=device, copy=False
+            )
+        self.outputs: dict[str, wp.array] = {}
+        for name in self.request.outputs:
+            buffer = buffers[name]
+            channels[name] = wp.zeros(max(buffer.count, 1), dtype=buffer.dtype, device=device)
+            self.outputs[name] = self._as_image(channels[name])
+        self.memory = {n: sizes[n] for n in buffers}
+        self.bytes = total + sum(sizes[n] for n in self.outputs)
+
+    def _as_image(self, array: wp.array) -> wp.array:
+        sizes = [s for s in self.layout.sizes if not s.depth_only]
+        if len({(s.width, s.height) for s in sizes}) != 1:
+            return array
+        shape = (len(sizes), sizes[0].height, sizes[0].width)
+        return wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device, copy=False)
+
+    def replay(self) -> None:
+        """Run the frame; the first call on CUDA captures it."""
+        if not self._captured:
+            self.resources.program.capture()
+            self._captured = True
+        self.resources.program.replay()
+
+    def counters(self) -> list[str]:
+        """Counts read back from the last frame: what overflowed its capacity, in words; nothing if nothing did."""
+        channels, raster, result = self.resources.channels, self.request.settings.raster, []
+        if "large_count" in channels:
+            large = int(channels["large_count"].numpy()[0])
+            result.append(f"{large:,} large triangles of {raster.large_capacity:,} that fit the store")
+            if large > raster.large_capacity:
+                result.append(f"{large - raster.large_capacity:,} drawn by the slower path: raise raster.large_capacity")
+            used = int(channels["bin_offsets"].numpy()[-1]) + int(channels["bin_counts"].numpy()[-1])
+            result.append(f"{used:,} bin entries of {raster.bin_capacity:,} that fit")
+            if used > raster.bin_capacity:
+                result.append(f"{used - raster.bin_capacity:,} drawn by the slower path: raise raster.bin_capacity")
+        return result
+
+    def reports(self, measure: bool, repeats: int = 20) -> list[PassReport]:
+        """What runs and why, with the median milliseconds of each pass where asked for."""
+        if not measure:
+            return list(self._reports)
+        times = self.resources.program.measure(repeats)
+        return [
+            dataclasses.replace(r, milliseconds=statistics.median(times[r.name])) if r.runs else r for r in self._reports
+        ]
+
+
+def _padded(size: int) -> int:
+    return -(-max(size, 1) // ALIGNMENT) * ALIGNMENT
+
+
+def _place(names: list[str], sizes: dict[str, int], born: dict[str, int], dies: dict[str, int]) -> tuple[dict[str, int], int]:
+    """Offsets in one arena, largest first, each at the lowest place free for its whole life."""
+    places: dict[str, int] = {}
+    total = 0
+    for name in sorted(names, key=lambda n: -sizes[n]):
+        overlapping = sorted((places[o], places[o] + sizes[o]) for o in places if born[o] <= dies[name] and born[name] <= dies[o])
+        offset = 0
+        for low, high in overlapping:
+            if offset + sizes[name] <= low:
+                break
+            offset = max(offset, high)
+        places[name] = offset
+        total = max(total, offset + sizes[name])
+    return places, total

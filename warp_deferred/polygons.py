@@ -1,0 +1,84 @@
+"""Polygons of a file to triangles that cover exactly the same points, concave ones included."""
+
+from __future__ import annotations
+
+import numpy as np
+
+__all__ = ["MAX_CONCAVE_CORNERS", "triangulate_polygon"]
+
+#: Ear clipping takes quadratic time: concave polygons with more corners are cut into a plain fan.
+MAX_CONCAVE_CORNERS = 2000
+
+
+def triangulate_polygon(points: np.ndarray) -> list[tuple[int, int, int]]:
+    """Cut a polygon into triangles between its own corners, turning the same way.
+
+    Convex polygons become a fan from the first corner. Others are cut by ear clipping in the plane of their area
+    vector (Meisters 1975): an ear is a convex corner whose triangle holds no other corner. Corners on a straight
+    edge are kept as corners of some triangle, so that neighbours still meet at them.
+
+    Args:
+        points: (k, 3) corners in order, k >= 3; nearly flat.
+
+    Returns:
+        k - 2 triples of corner numbers. A polygon that crosses itself or has no area gives some fan.
+    """
+    count = len(points)
+    fan = [(0, i, i + 1) for i in range(1, count - 1)]
+    if count == 3 or not np.isfinite(points).all():
+        return fan
+    offset = points - points[0]
+    area = np.cross(offset, np.roll(offset, -1, axis=0)).sum(axis=0)
+    drop = int(np.argmax(np.abs(area)))
+    if not area[drop] != 0.0:
+        return fan
+    axes = [(1, 2), (2, 0), (0, 1)][drop]
+    flat = offset[:, axes] if area[drop] > 0.0 else offset[:, axes] * (1.0, -1.0)
+    incoming, outgoing = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
+    turns = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
+    # All turns left and one full turn in all: convex. A star turns left everywhere too, but more than once.
+    wedges = [_turn(flat[0], flat[i], flat[i + 1]) for i in range(1, count - 1)]
+    if count > MAX_CONCAVE_CORNERS or (turns.min() >= 0.0 and min(wedges) >= 0.0 and _fan_keeps_corners(wedges)):
+        return fan
+    return _clip_ears(flat)
+
+
+def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+    """Return twice the signed area of a, b, c."""
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _fan_keeps_corners(wedges: list[float]) -> bool:
+    """Tell whether no triangle of the fan is flat: a flat one would leave its middle corner on another's edge."""
+    return all(w > 0.0 for w in wedges)
+
+
+def _clip_ears(flat: np.ndarray) -> list[tuple[int, int, int]]:
+    left = list(range(len(flat)))
+    triangles = []
+    while len(left) > 3:
+        at = _find_ear(flat, left)
+        a, b, c = left[at - 1], left[at], left[(at + 1) % len(left)]
+        triangles.append((a, b, c))
+        del left[at]
+    triangles.append((left[0], left[1], left[2]))
+    return triangles
+
+
+def _find_ear(flat: np.ndarray, left: list[int]) -> int:
+    """Return the place in `left` of an ear; of a corner without area if there is none; else of any convex corner."""
+    points = flat[left]
+    before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
+    edge, reach = points - before, after - before
+    turns = edge[:, 0] * reach[:, 1] - edge[:, 1] * reach[:, 0]
+    for at in np.nonzero(turns > 0.0)[0]:
+        triangle = before[at], points[at], after[at]
+        inside = np.ones(len(points), bool)
+        for k in range(3):
+            a, b = triangle[k], triangle[(k + 1) % 3]
+            inside &= (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0]) >= 0.0
+            inside &= (points != a).any(axis=1)
+        if not inside.any():
+            return int(at)
+    flat_corners = np.nonzero(turns == 0.0)[0]
+    return int(flat_corners[0]) if len(flat_corners) else int(np.argmax(turns))

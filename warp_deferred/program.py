@@ -1,0 +1,192 @@
+"""Running a plan's launches: recorded once, replayed every frame.
+
+On CUDA the launches are captured into a graph. On the CPU they are recorded as commands and replayed by a few host
+threads: pixel passes split into bands of whole blocks, and since launches release the interpreter lock, the bands run
+side by side. Warp's CPU atomics are not atomic between host threads, so a launch that counts or bins runs on one.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import warp as wp
+
+__all__ = ["FIRST", "Program"]
+
+
+class _First:
+    """Placeholder among a launch's inputs for the first row of a band."""
+
+
+FIRST = _First()
+_pools: dict[int, concurrent.futures.ThreadPoolExecutor] = {}
+
+
+def _pool(threads: int) -> concurrent.futures.ThreadPoolExecutor:
+    if threads not in _pools:
+        _pools[threads] = concurrent.futures.ThreadPoolExecutor(threads, thread_name_prefix="warp-deferred")
+    return _pools[threads]
+
+
+@dataclasses.dataclass
+class Section:
+    """The commands of one pass: steps in order, each a list of callables that may run side by side."""
+
+    name: str
+    steps: list[list[Callable[[], Any]]] = dataclasses.field(default_factory=list)
+
+
+class Program:
+    """Collects launches pass by pass, then replays them.
+
+    Attributes:
+        device: Where it runs.
+        threads: Host threads for CPU launches; 1 on CUDA.
+        kernels: Every kernel launched, for loading ahead and for tests.
+    """
+
+    def __init__(self, device: wp.Device, threads: int) -> None:
+        self.device, self.threads = device, threads
+        self.sections: list[Section] = []
+        self.kernels: list[tuple[Any, int]] = []
+        self._graph: Any = None
+
+    def begin(self, name: str) -> None:
+        """Start the section of a pass."""
+        self.sections.append(Section(name))
+
+    def launch(
+        self,
+        kernel: Any,
+        dim: int | Sequence[int],
+        inputs: list[Any],
+        outputs: list[Any],
+        *,
+        block_dim: int,
+        band: int = 0,
+        tiled: bool = False,
+    ) -> None:
+        """Add a launch.
+
+        Args:
+            kernel: The kernel.
+            dim: Launch dimensions; the first one counts rows.
+            inputs: Inputs; `FIRST` stands for the number of the band's first row.
+            outputs: Outputs.
+            block_dim: Threads a block.
+            band: Rows a band is a multiple of; 0 runs the launch whole, on one thread.
+            tiled: Launch one block of lanes per row; the kernel sees the lane as a second index.
+        """
+        dims = [dim] if isinstance(dim, int) else list(dim)
+        self.kernels.append((kernel, block_dim))
+        rows = dims[0]
+        if rows == 0 or (len(dims) > 1 and dims[1] == 0):
+            return
+        parts = min(self.threads, -(-rows // band)) if band else 1
+        per = -(-rows // parts)
+        if band:
+            per = -(-per // band) * band
+        step = []
+        for start in range(0, rows, per):
+            count = min(per, rows - start)
+            values = [start if value is FIRST else value for value in inputs]
+            step.append(self._command(kernel, [count, *dims[1:]], values, outputs, block_dim, tiled))
+        self.sections[-1].steps.append(step)
+
+    def launch_each(self, kernel: Any, launches: list[tuple[int, list[Any], list[Any]]], *, block_dim: int) -> None:
+        """Add launches of one kernel that may run side by side: (dim, inputs, outputs) each."""
+        self.kernels.append((kernel, block_dim))
+        step = [self._command(kernel, [dim], ins, outs, block_dim, False) for dim, ins, outs in launches if dim > 0]
+        if step:
+            self.sections[-1].steps.append(step)
+
+    def call(self, function: Callable[[], Any]) -> None:
+        """Add a device operation that is no kernel of ours: a memset or a scan."""
+        self.sections[-1].steps.append([function])
+
+    def _command(self, kernel: Any, dims: list[int], inputs: list[Any], outputs: list[Any], block_dim: int, tiled: bool) -> Any:
+        if self.device.is_cuda:
+            if tiled:
+                dims = [*dims, block_dim]
+
+            def run() -> None:
+                wp.launch(kernel, dim=dims, inputs=inputs, outputs=outputs, device=self.device, block_dim=block_dim, record_tape=False)
+
+            return run
+        if tiled:
+            # The CPU backend runs a block as one lane.
+            dims = [*dims, 1]
+        command = wp.launch(
+            kernel, dim=dims, inputs=inputs, outputs=outputs, device=self.device, block_dim=1 if tiled else block_dim, record_cmd=True
+        )
+        return command.launch
+
+    def run_section(self, section: Section) -> None:
+        """Run one pass's steps directly."""
+        for step in section.steps:
+            if len(step) == 1:
+                step[0]()
+            else:
+                others = [_pool(self.threads).submit(command) for command in step[1:]]
+                step[0]()
+                for other in others:
+                    other.result()
+
+    def load(self, progress: Callable[[str, int, int], None] | None = None) -> None:
+        """Compile and load every kernel the program launches, so that capturing and replaying never do."""
+        pending: dict[tuple[str, int], Any] = {}
+        for kernel, block_dim in self.kernels:
+            pending[(kernel.module.name, 1 if self.device.is_cpu else block_dim)] = (kernel, block_dim)
+        for done, ((name, _), (kernel, block_dim)) in enumerate(pending.items()):
+            if progress:
+                progress(kernel.key.removesuffix("_kernel"), done, len(pending))
+            kernel.module.load(self.device, block_dim=block_dim) if self.device.is_cuda else kernel.module.load(self.device)
+        if progress:
+            progress("", len(pending), len(pending))
+
+    def capture(self) -> None:
+        """On CUDA: record all sections into one graph."""
+        if not self.device.is_cuda:
+            return
+        with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
+            for section in self.sections:
+                self.run_section(section)
+        self._graph = capture.graph
+
+    def replay(self) -> None:
+        """Run the whole program once: the graph on CUDA, the recorded commands on the CPU."""
+        if self._graph is not None:
+            wp.capture_launch(self._graph)
+            return
+        for section in self.sections:
+            self.run_section(section)
+
+    def measure(self, repeats: int = 20) -> dict[str, list[float]]:
+        """Time each pass by itself: section name -> milliseconds of each repeat (device time on CUDA)."""
+        times: dict[str, list[float]] = {section.name: [] for section in self.sections}
+        if not self.device.is_cuda:
+            for _ in range(repeats):
+                for section in self.sections:
+                    start = time.perf_counter()
+                    self.run_section(section)
+                    times[section.name].append((time.perf_counter() - start) * 1e3)
+            return times
+        graphs = []
+        for section in self.sections:
+            with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
+                self.run_section(section)
+            graphs.append(capture.graph)
+        stream = wp.get_stream(self.device)
+        for _ in range(repeats):
+            events = [wp.Event(self.device, enable_timing=True) for _ in range(len(graphs) + 1)]
+            stream.record_event(events[0])
+            for k, graph in enumerate(graphs):
+                wp.capture_launch(graph)
+                stream.record_event(events[k + 1])
+            for k, section in enumerate(self.sections):
+                times[section.name].append(wp.get_event_elapsed_time(events[k], events[k + 1]))
+        return times

@@ -1,0 +1,270 @@
+"""The renderer: scene in, frames out. Looks plans up, packs cameras, uploads what changed, replays."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import warp as wp
+
+from .camera import Camera
+from .channels import OUTPUTS
+from .checks import check_choice, check_count, input_error
+from .device_scene import DeviceScene, as_float_array
+from .errors import DeviceError
+from .explain import Explanation, MemoryReport
+from .features import Features
+from .frame import Frame
+from .kernels import clusters as cluster_kernels
+from .light_store import LightStore
+from .passes.base import Request
+from .plan import Plan
+from .scene import Scene
+from .settings import Settings
+from .views import MAX_SIZE, ViewSize
+
+__all__ = ["Renderer"]
+
+#: Plans kept; the least recently used one goes.
+MAX_PLANS = 8
+#: Packing of `structs.FrameValues`.
+VALUES = struct.Struct("<3fi3fi")
+
+
+class Renderer:
+    """Renders a scene at one size with a fixed set of outputs.
+
+    A frame costs no allocation and no compilation once its plan exists. Changing the scene's numbers (transforms,
+    lights, cameras) keeps the plan; changing what exists looks another one up or builds it.
+
+    Args:
+        scene: What to render; read anew at every `render`.
+        width: Width of a view [px], 1 to 16384.
+        height: Height of a view [px], 1 to 16384.
+        device: Warp device name; the current default if left out.
+        outputs: Names of the outputs wanted, see `warp_deferred.channels.OUTPUTS`.
+        settings: How accurately; the scene's own settings if left out.
+        threads: Host threads on the CPU; the number of cores if left out.
+
+    Raises:
+        InputError: If a size, an output or a setting does not fit.
+        DeviceError: If the device is not there.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        width: int = 1280,
+        height: int = 720,
+        device: Any = None,
+        outputs: Sequence[str] = ("display",),
+        settings: Settings | None = None,
+        threads: int | None = None,
+    ) -> None:
+        if not isinstance(scene, Scene):
+            raise input_error("Renderer.scene", "a Scene", type(scene).__name__, "load one with warp_deferred.load(...)")
+        self.scene = scene
+        self.width = check_count("Renderer.width", width, 1, MAX_SIZE, "images are 1 to 16384 pixels a side")
+        self.height = check_count("Renderer.height", height, 1, MAX_SIZE, "images are 1 to 16384 pixels a side")
+        if isinstance(outputs, str):
+            raise input_error("Renderer.outputs", "a sequence of names", outputs, f"write outputs=({outputs!r},)")
+        self.outputs = frozenset(check_choice("Renderer.outputs", name, OUTPUTS) for name in outputs)
+        if not self.outputs:
+            raise input_error("Renderer.outputs", "at least one name", "<nothing>", 'the picture is outputs=("display",)')
+        if settings is not None and not isinstance(settings, Settings):
+            raise input_error("Renderer.settings", "a Settings object", type(settings).__name__)
+        self._settings = settings
+        self.device = _device(device)
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        wanted = cores if threads is None else check_count("Renderer.threads", threads, 1, 256)
+        self._threads = 0 if self.device.is_cuda else wanted
+        self._plans: dict[Request, Plan] = {}
+        self._device_scene: DeviceScene | None = None
+        self._lights: dict[tuple[int, int], LightStore] = {}
+        self._seen: tuple[int, ...] = ()
+        self._revision = -1
+        self._scene_key = 0
+        self._requests: dict[Any, Request] = {}
+        self._generation = 0
+        self._plan: Plan | None = None
+
+    @property
+    def settings(self) -> Settings:
+        """The settings in force."""
+        return self._settings or self.scene.settings
+
+    def prepare(self, progress: Callable[[str, int, int], None] | None = None, *, views: int = 1) -> None:
+        """Build the plan and compile all it needs, so that the first `render` is as quick as the next.
+
+        Args:
+            progress: Called with (kernel, done, total) before each module is compiled or loaded.
+            views: Number of views a frame will have.
+        """
+        cameras = [self.scene.camera or Camera()] * views
+        self._look_up(cameras, progress)
+
+    def render(self, camera: Camera | Sequence[Camera] | None = None, *, poses: Any = None) -> Frame:
+        """Render one frame.
+
+        Args:
+            camera: A camera, several for a batch of views, or None for the scene's.
+            poses: Device array (views, 4, 4) float32 of rigid camera-to-world matrices that replace the cameras'
+                poses, copied on the device and never read back.
+
+        Returns:
+            The frame, valid until the next `render`.
+
+        Raises:
+            InputError: If there is no camera or an argument does not fit.
+        """
+        cameras = self._cameras(camera)
+        plan = self._look_up(cameras, None)
+        resources = plan.resources
+        self._update(cameras)
+        block = resources.frame.begin()
+        plan.packer.write(block, cameras, self._ranges(cameras))
+        environment = self.scene.environment
+        VALUES.pack_into(
+            block, resources.frame.values_offset, *environment.ambient, len(self.scene.lights), *environment.background, len(cameras)
+        )
+        resources.frame.upload()
+        if poses is not None:
+            self._stage_poses(poses, len(cameras), resources)
+        plan.replay()
+        self._generation += 1
+        generation = self._generation
+        return Frame(plan.outputs, cameras, lambda: self._generation == generation)
+
+    def _stage_poses(self, poses: Any, count: int, resources: Any) -> None:
+        array = as_float_array(poses, self.device)
+        if tuple(array.shape) != (count, 4, 4):
+            raise input_error("render.poses", f"shape ({count}, 4, 4)", f"<shape {tuple(array.shape)}>")
+        wp.launch(
+            cluster_kernels.stage_cameras_kernel, dim=count, inputs=[array], outputs=[resources.frame.views], device=self.device,
+            block_dim=cluster_kernels.BLOCK_DIM,
+        )  # fmt: skip
+
+    def _cameras(self, camera: Camera | Sequence[Camera] | None) -> list[Camera]:
+        if camera is None:
+            camera = self.scene.camera
+            if camera is None:
+                raise input_error("render.camera", "a Camera", None, "the scene has none: pass one, or set scene.camera")
+        cameras = [camera] if isinstance(camera, Camera) else list(camera)
+        if not cameras or not all(isinstance(c, Camera) for c in cameras):
+            raise input_error("render.camera", "a Camera or a sequence of them", camera)
+        return cameras
+
+    def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
+        scene = self.scene
+        seen = (scene.structure_revision, scene.lights.structure_revision)
+        if self._device_scene is None or self._seen[:1] != seen[:1]:
+            self._load_scene()
+        if self._seen != seen:
+            self._features = Features.of(scene)
+            self._seen = seen
+            self._requests.clear()
+        worlds = tuple(c.world for c in cameras) if len(cameras) > 1 or cameras[0].world >= 0 else len(cameras)
+        key = (worlds, self.settings)
+        request = self._requests.get(key)
+        if request is None:
+            request = self._requests[key] = self._request(cameras)
+        plan = self._plans.get(request)
+        if plan is None:
+            plan = self._build(request, progress)
+        if plan is not self._plan:
+            self._plans[request] = self._plans.pop(request)
+            self._plan = plan
+        return plan
+
+    def _load_scene(self) -> None:
+        self._plans.clear()
+        self._plan = None
+        self._lights.clear()
+        self._device_scene = DeviceScene(self.scene, self.device)
+        self._revision = self.scene.revision
+        self._scene_key += 1
+
+    def _request(self, cameras: list[Camera]) -> Request:
+        scene = self._device_scene
+        ranges = [scene.view_range(c.world) for c in cameras]
+        instances = max(r[0] + r[2] for r in ranges)
+        slots = max(r[3] + r[5] for r in ranges)
+        return Request(
+            outputs=self.outputs,
+            sizes=(ViewSize(self.width, self.height),) * len(cameras),
+            settings=self.settings,
+            features=self._features,
+            pairs=_capacity(sum(r[0] + r[2] for r in ranges), scene.instance_count),
+            candidates=_capacity(sum(r[3] + r[5] for r in ranges), scene.cluster_slots),
+            instances_per_view=_capacity(instances, scene.instance_count),
+            clusters_per_view=_capacity(slots, scene.cluster_slots),
+            scene_key=self._scene_key,
+            threads=self._threads,
+        )
+
+    def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
+        key = (request.features.light_capacity, len(request.sizes))
+        if key not in self._lights:
+            self._lights[key] = LightStore(*key, self.device)
+        while len(self._plans) >= MAX_PLANS:
+            self._plans.pop(next(iter(self._plans)))
+        self._plans[request] = Plan(request, self._device_scene, self._lights[key], progress)
+        return self._plans[request]
+
+    def _update(self, cameras: list[Camera]) -> None:
+        scene, device_scene = self.scene, self._device_scene
+        if self._revision != scene.revision:
+            device_scene.update_transforms(scene)
+            self._revision = scene.revision
+        if scene.transforms is not None:
+            device_scene.stage_transforms(scene.transforms)
+        if len(scene.lights):
+            self._plan.resources.lights.update(scene.lights)
+
+    def _ranges(self, cameras: list[Camera]) -> list[tuple[int, ...]]:
+        result, offset = [], 0
+        for camera in cameras:
+            r = self._device_scene.view_range(camera.world)
+            result.append((offset, *r))
+            offset += r[0] + r[2]
+        return result
+
+    def explain(self, *, measure: bool = True, views: int = 1) -> Explanation:
+        """Tell for each pass whether it runs, why, at which rung, and what it costs.
+
+        Args:
+            measure: Time each pass by itself; renders a few frames of the scene's camera.
+            views: Number of views a frame has, where none was rendered yet.
+        """
+        if self._plan is None or measure:
+            if measure:
+                self.render() if self.scene.camera is not None else self.render([Camera()] * views)
+            else:
+                self.prepare(views=views)
+        plan = self._plan
+        return Explanation.of(self.scene, plan, plan.reports(measure))
+
+    def memory_report(self) -> MemoryReport:
+        """List device memory by buffer, the scene's apart."""
+        if self._plan is None:
+            self.prepare()
+        return MemoryReport.of(self._plan, self._device_scene)
+
+
+def _capacity(count: int, whole: int) -> int:
+    """Exact for a view of everything, else the next power of two, so that moving between worlds keeps the plan."""
+    if count <= 0:
+        return 0
+    return count if count % max(whole, 1) == 0 else 1 << (count - 1).bit_length()
+
+
+def _device(device: Any) -> wp.Device:
+    try:
+        return wp.get_device(device)
+    except Exception as error:
+        known = ", ".join(str(d) for d in wp.get_devices())
+        raise DeviceError(f"device: expected one of {known}, got {device!r}; leave it out for the default") from error
+

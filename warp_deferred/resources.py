@@ -1,0 +1,102 @@
+"""What passes share while a plan is built: device scene, staged frame values, tables, channels and the program."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import warp as wp
+
+from .device_scene import DeviceScene
+from .kernels import structs
+from .light_store import LightStore
+from .program import Program
+from .views import ViewLayout, table_array
+
+__all__ = ["FrameBlock", "Resources"]
+
+
+class FrameBlock:
+    """Everything the host changes every frame, in one block and one copy: views, then frame values.
+
+    The pinned copies form a ring, so that the host can write the next frame while the device still reads the last.
+    """
+
+    RING = 4
+
+    def __init__(self, views: int, device: wp.Device) -> None:
+        view_size = np.dtype(structs.View.numpy_dtype()).itemsize
+        value_size = np.dtype(structs.FrameValues.numpy_dtype()).itemsize
+        self.values_offset = views * view_size
+        self.size = self.values_offset + value_size
+        self.device = device
+        self._block = wp.zeros(self.size, dtype=wp.uint8, device=device)
+        self.views = wp.array(ptr=self._block.ptr, dtype=structs.View, shape=(views,), device=device, copy=False)
+        self.values = wp.array(
+            ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
+        )
+        pinned = device.is_cuda
+        self._slots = [wp.zeros(self.size, dtype=wp.uint8, device="cpu", pinned=pinned) for _ in range(self.RING if pinned else 1)]
+        self._memory = [memoryview(slot.numpy()).cast("B") for slot in self._slots]
+        self._events: list[wp.Event | None] = [None] * len(self._slots)
+        self._next = 0
+
+    def begin(self) -> memoryview:
+        """Return the host memory of the next block, waiting if the device still reads it."""
+        event = self._events[self._next]
+        if event is not None:
+            wp.synchronize_event(event)
+        return self._memory[self._next]
+
+    def upload(self) -> None:
+        """Send the block written since `begin`."""
+        wp.copy(self._block, self._slots[self._next])
+        if self.device.is_cuda:
+            event = self._events[self._next] or wp.Event(self.device)
+            wp.get_stream(self.device).record_event(event)
+            self._events[self._next] = event
+            self._next = (self._next + 1) % len(self._slots)
+
+
+@dataclasses.dataclass
+class Resources:
+    """What a pass may use in `prepare` and `run`.
+
+    Attributes:
+        device: Where the plan runs.
+        scene: Geometry, materials, instances.
+        lights: Light source and staging.
+        frame: Views and frame values.
+        layout: Where views lie.
+        blocks: Table of 8 x 8 pixel blocks.
+        tiles: Table of light tiles.
+        coarse_tiles: Table of coarse light tiles.
+        bin_tiles: Table of raster bins.
+        channels: Arrays by channel name.
+        program: Where launches go.
+    """
+
+    device: wp.Device
+    scene: DeviceScene
+    lights: LightStore
+    frame: FrameBlock
+    layout: ViewLayout
+    blocks: wp.array
+    tiles: wp.array
+    coarse_tiles: wp.array
+    bin_tiles: wp.array
+    channels: dict[str, wp.array]
+    program: Program
+
+    @classmethod
+    def make(cls, scene: DeviceScene, lights: LightStore, layout: ViewLayout, program: Program) -> Resources:
+        """Upload the layout's tables."""
+        device = scene.device
+        tables = [table_array(t, device) for t in (layout.blocks, layout.tiles, layout.coarse_tiles, layout.bin_tiles)]
+        return cls(device, scene, lights, FrameBlock(len(layout.sizes), device), layout, *tables, {}, program)
+
+    def channel(self, name: str, dtype: type) -> wp.array:
+        """The array of a channel, or a one-element array where the plan has none (never touched by the kernel)."""
+        if name in self.channels:
+            return self.channels[name]
+        return wp.zeros(1, dtype=dtype, device=self.device)
