@@ -16,7 +16,7 @@ import warp as wp
 from .projection import pixel_index
 from .raster import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, make_draw
 from .projection import float_bits
-from .structs import BIN_TILE, BIN_TILE_AREA, LargeTriangle, RasterTarget, View
+from .structs import ALL_BITS, BIN_TILE, BIN_TILE_AREA, LargeTriangle, RasterTarget, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -66,7 +66,14 @@ def make_bin_kernels(depth_views: bool, behind: bool):
 
     @wp.func
     def bin_triangle(
-        view: View, t: LargeTriangle, index: wp.int32, lane: wp.int32, lanes: wp.int32, filling: wp.int32, bins: Bins, target: RasterTarget
+        view: View,
+        t: LargeTriangle,
+        index: wp.int32,
+        lane: wp.int32,
+        lanes: wp.int32,
+        filling: wp.int32,
+        bins: Bins,
+        target: RasterTarget,
     ):
         x_min = wp.max(first_pixel(wp.min(t.p0[0], wp.min(t.p1[0], t.p2[0]))), 0)
         x_max = wp.min(last_pixel(wp.max(t.p0[0], wp.max(t.p1[0], t.p2[0]))), view.width - 1)
@@ -167,7 +174,7 @@ def make_bin_kernels(depth_views: bool, behind: bool):
                 z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                 if z >= 0.0:
                     bits = float_bits(z)
-                    key = (wp.uint64(bits) << wp.uint64(32)) | wp.uint64(wp.uint32(0xFFFFFFFF) - t.id)
+                    key = (wp.uint64(bits) << wp.uint64(32)) | wp.uint64(ALL_BITS - t.id)
                     if wp.static(behind):
                         if view.depth_only != 0 or key < limit:
                             best = wp.max(best, key)

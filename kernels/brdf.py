@@ -82,7 +82,7 @@ def phong_lobe(n: wp.vec3, l: wp.vec3, v: wp.vec3, shininess: wp.float32):
 def blinn_phong_lobe(n: wp.vec3, h: wp.vec3, shininess: wp.float32):
     """Normalised Blinn-Phong lobe around the half vector."""
     cosine = wp.max(wp.dot(n, h), 0.0)
-    scale = (shininess + 2.0) * (shininess + 4.0) / (wp.exp2(-0.5 * shininess) + shininess)
+    scale = (shininess + 2.0) * (shininess + 4.0) / (wp.pow(2.0, -0.5 * shininess) + shininess)
     return scale * (0.125 * INVERSE_PI) * wp.pow(cosine, shininess)
 
 
@@ -103,9 +103,7 @@ def make_reflect(models: int):
                     f0 = wp.vec3(0.04, 0.04, 0.04) * (1.0 - s.metallic) + s.albedo * s.metallic
                     f = schlick(f0, wp.clamp(wp.dot(v, h), 0.0, 1.0))
                     result.specular = f * ggx_lobe(s.normal, h, n_dot_l, n_dot_v, rough)
-                    result.diffuse = wp.cw_mul(wp.vec3(1.0, 1.0, 1.0) - f, s.albedo) * (
-                        (1.0 - s.metallic) * INVERSE_PI
-                    )
+                    result.diffuse = wp.cw_mul(wp.vec3(1.0, 1.0, 1.0) - f, s.albedo) * ((1.0 - s.metallic) * INVERSE_PI)
             if wp.static((models & 2) != 0):
                 if s.model == MODEL_PHONG:
                     result.specular = s.specular * phong_lobe(s.normal, l, v, s.shininess)

@@ -211,7 +211,11 @@ def prepare_pairs_kernel(
     result.camera = to_single(direction)
     result.radius_scale = wp.sqrt(stretch)
     result.flip = wp.where(determinant < wp.float64(0.0), 1, 0)
-    finite = wp.isfinite(gram[0, 0] + gram[1, 1] + gram[2, 2]) and wp.isfinite(wp.length_sq(result.offset)) and wp.isfinite(determinant)
+    finite = (
+        wp.isfinite(gram[0, 0] + gram[1, 1] + gram[2, 2])
+        and wp.isfinite(wp.length_sq(result.offset))
+        and wp.isfinite(determinant)
+    )
     result.drawn = wp.where(finite, 1, 0)
     out_pairs[view.pair_offset + rank] = result
 

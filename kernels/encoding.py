@@ -232,7 +232,7 @@ def make_gbuffer_codec(rung: str, normal: str, extra: bool):
                 s.metallic = wp.float32(tail & wp.uint32(255)) * (1.0 / 255.0)
             else:
                 s.specular = unpack_root(tail)
-                s.shininess = wp.exp2(s.roughness * 13.0)
+                s.shininess = wp.pow(2.0, s.roughness * 13.0)
         return s
 
     return encode, decode

@@ -40,18 +40,23 @@ def barycentric(a: wp.vec3, b: wp.vec3, c: wp.vec3):
     ey = wp.vec3(b[0] * -c[2] + c[0] * b[2], c[0] * -a[2] + a[0] * c[2], a[0] * -b[2] + b[0] * a[2])
     ex = -ex
     total = e[0] + e[1] + e[2]
+    # The determinant decides the facing: the sum changes sign past a grazing triangle's horizon, this does not.
+    facing = a[2] * e[0] + b[2] * e[1] + c[2] * e[2]
     result = Barycentric()
-    result.orientation = total
-    # A grazing triangle can cancel to nothing; its pixel takes the middle.
-    inverse = 1.0 / total
-    if not (wp.isfinite(inverse) and wp.isfinite(total)):
+    result.orientation = facing
+    turned = e * wp.where(facing < 0.0, -1.0, 1.0)
+    clamped = wp.vec3(wp.max(turned[0], 0.0), wp.max(turned[1], 0.0), wp.max(turned[2], 0.0))
+    scale = 1.0 / (clamped[0] + clamped[1] + clamped[2])
+    if not wp.isfinite(scale):
+        # A grazing triangle can cancel to nothing; its pixel takes the middle.
         third = 1.0 / 3.0
         result.weight = wp.vec3(third, third, third)
         return result
-    raw = e * inverse
-    clamped = wp.vec3(wp.max(raw[0], 0.0), wp.max(raw[1], 0.0), wp.max(raw[2], 0.0))
-    scale = 1.0 / (clamped[0] + clamped[1] + clamped[2])
     result.weight = clamped * scale
+    inverse = 1.0 / total
+    if not wp.isfinite(inverse):
+        return result
+    raw = e * inverse
     result.ddx = (ex - raw * (ex[0] + ex[1] + ex[2])) * inverse
     result.ddy = (ey - raw * (ey[0] + ey[1] + ey[2])) * inverse
     return result

@@ -14,6 +14,7 @@ import functools
 import warp as wp
 
 from .structs import (
+    ALL_BITS,
     LIGHT_DIRECTIONAL,
     LIGHT_SPOT,
     ORTHOGRAPHIC,
@@ -308,7 +309,7 @@ def all_lights_kernel(
     left = values[0].light_count - word * 32
     bits = wp.uint32(0)
     if left >= 32:
-        bits = wp.uint32(0xFFFFFFFF)
+        bits = ALL_BITS
     elif left > 0:
         bits = (wp.uint32(1) << wp.uint32(left)) - wp.uint32(1)
     out_masks.words[t * out_masks.words_per_tile + word] = bits

@@ -21,6 +21,7 @@ import warp as wp
 from .masking import make_discard
 from .projection import float_bits, pixel_index, to_homogeneous, to_view, vertex_depth
 from .structs import (
+    ALL_BITS,
     CLUSTER_SIZE,
     CULL_BACK,
     CULL_FRONT,
@@ -111,7 +112,7 @@ def make_write_fragment(depth_views: bool, behind: bool):
                 if bits > target.depth_keys[index]:
                     wp.atomic_max(target.depth_keys, index, bits)
                 return
-        key = (wp.uint64(bits) << wp.uint64(32)) | wp.uint64(wp.uint32(0xFFFFFFFF) - identity)
+        key = (wp.uint64(bits) << wp.uint64(32)) | wp.uint64(ALL_BITS - identity)
         if wp.static(behind):
             if key >= target.behind[index]:
                 return
@@ -141,13 +142,14 @@ def make_draw(depth_views: bool, behind: bool):
         a0, a1, a2 = a0 * 256, a1 * 256, a2 * 256
         b0, b1, b2 = b0 * 256, b1 * 256, b2 * 256
         for py in range(low[1], high[1] + 1):
-            e0, e1, e2 = row0, row1, row2
+            # One by one: a tuple assignment would alias the rows in Warp, not copy them.
+            e0 = row0
+            e1 = row1
+            e2 = row2
             index = pixel_index(view, low[0], py)
             for _px in range(low[0], high[0] + 1):
                 if e0 >= t0 and e1 >= t1 and e2 >= t2:
-                    z = accept_depth(
-                        view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z)
-                    )
+                    z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                     if z >= 0.0:
                         write_fragment(view, target, index, z, t.id)
                 e0 += a0
@@ -169,19 +171,18 @@ def make_draw(depth_views: bool, behind: bool):
         row2 = wp.int64(a2) * wp.int64(x - t.p0[0]) + wp.int64(b2) * wp.int64(y - t.p0[1])
         t0, t1, t2 = edge_threshold(a0, b0), edge_threshold(a1, b1), edge_threshold(a2, b2)
         l0, l1, l2 = wp.int64(t0), wp.int64(t1), wp.int64(t2)
-        area = wp.float32(
-            wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0])
-        )
+        area = wp.float32(wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0]))
         s0, s1, s2 = wp.int64(a0) * wp.int64(256), wp.int64(a1) * wp.int64(256), wp.int64(a2) * wp.int64(256)
         r0, r1, r2 = wp.int64(b0) * wp.int64(256), wp.int64(b1) * wp.int64(256), wp.int64(b2) * wp.int64(256)
         for py in range(low[1], high[1] + 1):
-            e0, e1, e2 = row0, row1, row2
+            # One by one: a tuple assignment would alias the rows in Warp, not copy them.
+            e0 = row0
+            e1 = row1
+            e2 = row2
             index = pixel_index(view, low[0], py)
             for _px in range(low[0], high[0] + 1):
                 if e0 >= l0 and e1 >= l1 and e2 >= l2:
-                    z = accept_depth(
-                        view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z)
-                    )
+                    z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                     if z >= 0.0:
                         write_fragment(view, target, index, z, t.id)
                 e0 += s0
@@ -214,7 +215,7 @@ def orient(pair: Pair, view: View, two_sided: bool, t: LargeTriangle):
         result.p2 = t.p1
         result.z = wp.vec3(t.z[0], t.z[2], t.z[1])
     if culled:
-        result.id = wp.uint32(0xFFFFFFFF)
+        result.id = ALL_BITS
     return result
 
 
@@ -339,7 +340,13 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
 
     @wp.func
     def draw_masked(
-        view: View, target: RasterTarget, pair: Pair, geometry: Geometry, material: Material, v: wp.vec3i, t: LargeTriangle
+        view: View,
+        target: RasterTarget,
+        pair: Pair,
+        geometry: Geometry,
+        material: Material,
+        v: wp.vec3i,
+        t: LargeTriangle,
     ):
         x_min = wp.min(t.p0[0], wp.min(t.p1[0], t.p2[0]))
         x_max = wp.max(t.p0[0], wp.max(t.p1[0], t.p2[0]))
@@ -348,7 +355,11 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
         a0, b0 = t.p1[1] - t.p2[1], t.p2[0] - t.p1[0]
         a1, b1 = t.p2[1] - t.p0[1], t.p0[0] - t.p2[0]
         a2, b2 = t.p0[1] - t.p1[1], t.p1[0] - t.p0[0]
-        l0, l1, l2 = wp.int64(edge_threshold(a0, b0)), wp.int64(edge_threshold(a1, b1)), wp.int64(edge_threshold(a2, b2))
+        l0, l1, l2 = (
+            wp.int64(edge_threshold(a0, b0)),
+            wp.int64(edge_threshold(a1, b1)),
+            wp.int64(edge_threshold(a2, b2)),
+        )
         area = wp.float32(wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0]))
         for py in range(wp.max(first_pixel(y_min), 0), wp.min(last_pixel(y_max), view.height - 1) + 1):
             y = py * 256 + 128
@@ -364,7 +375,13 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
 
     @wp.func
     def draw_clipped(
-        view: View, target: RasterTarget, pair: Pair, geometry: Geometry, materials: wp.array[Material], v: wp.vec3i, identity: wp.uint32
+        view: View,
+        target: RasterTarget,
+        pair: Pair,
+        geometry: Geometry,
+        materials: wp.array[Material],
+        v: wp.vec3i,
+        identity: wp.uint32,
     ):
         c0 = clip_vertex(view, to_view(pair, geometry.positions[v[0]]))
         c1 = clip_vertex(view, to_view(pair, geometry.positions[v[1]]))
@@ -390,12 +407,14 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
             t.p1 = snap_vertex(polygon[i - 1])
             t.p2 = snap_vertex(polygon[i])
             t.z = wp.vec3(
-                vertex_depth(view, polygon[0, 3]), vertex_depth(view, polygon[i - 1, 3]), vertex_depth(view, polygon[i, 3])
+                vertex_depth(view, polygon[0, 3]),
+                vertex_depth(view, polygon[i - 1, 3]),
+                vertex_depth(view, polygon[i, 3]),
             )
             t.id = identity
             t.view = pair.view
             t = orient(pair, view, (instance.flags & FLAG_TWO_SIDED) != 0, t)
-            if t.id != wp.uint32(0xFFFFFFFF):
+            if t.id != ALL_BITS:
                 if wp.static(masked):
                     if (instance.flags & FLAG_MASKED) != 0:
                         draw_masked(view, target, pair, geometry, materials[instance.material], v, t)
@@ -420,7 +439,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
         t.view = pair.view
         flags = geometry.instances[pair.instance].flags
         t = orient(pair, view, (flags & FLAG_TWO_SIDED) != 0, t)
-        if t.id != wp.uint32(0xFFFFFFFF):
+        if t.id != ALL_BITS:
             emit(view, target, t)
 
     @wp.kernel(module="unique", enable_backward=False)

@@ -15,6 +15,7 @@ from .interpolation import Barycentric, barycentric, mix2, mix3, mix4, relative_
 from .clusters import pair_of_instance
 from .projection import bits_float, linear_depth, pixel_in_block, pixel_index, relative_position
 from .structs import (
+    ALL_BITS,
     CLUSTER_SIZE,
     FLAG_COLORS,
     FLAG_SMOOTH,
@@ -172,7 +173,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
             write_background(i, out_gbuffer, out_layers)
             return
         z = bits_float(wp.uint32(key >> wp.uint64(32)))
-        identity = wp.uint32(0xFFFFFFFF) - wp.uint32(key & wp.uint64(0xFFFFFFFF))
+        identity = ALL_BITS - wp.uint32(key)
         instance_slot = geometry.id_blocks[wp.int32(identity / wp.uint32(CLUSTER_SIZE))]
         instance = geometry.instances[instance_slot]
         triangle = wp.int32(identity - instance.id_base)

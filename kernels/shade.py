@@ -65,7 +65,9 @@ def to_half(v: wp.vec3):
 
 
 @functools.cache
-def make_shade_kernel(codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...]):
+def make_shade_kernel(
+    codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...]
+):
     """Kernel that lights the G-buffer.
 
     Args:

@@ -25,6 +25,8 @@ CLUSTER_SIZE = wp.constant(128)
 SUBPIXEL = wp.constant(256)
 #: Vertices beyond this many pixels from the origin are clipped, so that edge values fit 51 bits.
 GUARD_BAND_PX = wp.constant(32768.0)
+#: Largest 32-bit id: no triangle has it.
+ALL_BITS = wp.constant(wp.uint32(0xFFFFFFFF))
 #: Lights a mask word, and a summary word of mask words, stands for.
 MASK_BITS = wp.constant(32)
 

@@ -151,9 +151,13 @@ def render_reference(
     cull: str | None = None,
     depth_clamp: bool = False,
     edges: bool = True,
+    point_from: str = "surface",
 ) -> dict[str, np.ndarray]:
-    """Render a scene of the package with the reference; camera and culling default to the scene's own."""
+    """Render a scene of the package with the reference; camera and culling default to the scene's own.
+
+    `point_from` as in `reference.render`: "surface" is the truth, "depth" what a position rebuilt from depth can reach.
+    """
     view = reference_view(
         camera or scene.camera, width, height, cull=cull or scene.settings.raster.cull, depth_clamp=depth_clamp
     )
-    return reference.render(reference_scene(scene), view, edges)
+    return reference.render(reference_scene(scene), view, edges, point_from)

@@ -15,6 +15,10 @@ from reference import view_of as camera
 import warp_deferred as wd
 
 
+def wd_rotation(backward):
+    return np.array(wd.Camera.look_at(backward, (0, 0, 0)).rotation).reshape(3, 3)
+
+
 def tilted_quad(**fields):
     points = np.array([[-1.2, -0.9, -1.3], [1.1, -1.0, -0.8], [0.9, 0.5, -2.6], [-1.4, 1.2, -2.0]])
     return ref.Mesh(points, np.array([[0, 1, 2], [0, 2, 3]]), **fields)
@@ -53,6 +57,21 @@ def test_i1_positions_lie_on_their_pixel_ray_and_plane(orthographic):
     assert np.abs(((out["position"][y, x] - corners[:, 0]) * plane).sum(axis=1)).max() < 1e-9
     # Depth is interpolated from snapped vertices: within a sub-pixel of the plane.
     assert np.allclose(out["depth"][y, x], -out["position"][y, x, 2], rtol=2e-3)
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_z6_points_from_depth_lie_on_their_ray_near_the_surface(orthographic):
+    view = camera(cull="none", orthographic=orthographic, near=0.1, far=9.0, focal=14.0, eye=(0.1, 0.2, 0.3))
+    view = replace(view, rotation=wd_rotation((0.3, 0.2, 1.0)))
+    exact, rebuilt = (ref.render(scene_of(tilted_quad()), view, point_from=kind) for kind in ("surface", "depth"))
+    y, x = np.nonzero(exact["alpha"] > 0)
+    assert len(y) > 60
+    clip = ref.project(rebuilt["position"][y, x], view)
+    assert np.allclose(clip[:, :2] / clip[:, 3:], np.stack([x + 0.5, y + 0.5], axis=1), atol=1e-9)
+    local = (rebuilt["position"][y, x] - view.eye) @ view.rotation.T
+    assert np.allclose(-local[:, 2], rebuilt["depth"][y, x], rtol=1e-12)
+    step = np.linalg.norm(rebuilt["position"] - exact["position"], axis=-1)[y, x]
+    assert 0 < step.max() < 2e-2
 
 
 @pytest.mark.parametrize("shift", [1, 2])

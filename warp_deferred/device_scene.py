@@ -121,7 +121,9 @@ class DeviceScene:
     def _build_meshes(self, prepared: dict[int, tuple[Clusters, np.ndarray | None]]) -> None:
         self._first_triangle, self._first_cluster = {}, {}
         vertex = triangle = cluster_row = cluster = 0
-        parts: dict[str, list[np.ndarray]] = {k: [] for k in ("positions", "normals", "uvs", "colors", "triangles", "rows", "clusters")}
+        parts: dict[str, list[np.ndarray]] = {
+            k: [] for k in ("positions", "normals", "uvs", "colors", "triangles", "rows", "clusters")
+        }
         any_normals = any(n is not None for _, n in prepared.values())
         any_uvs = any(m.uvs is not None for m in self._meshes)
         any_colors = any(m.colors is not None for m in self._meshes)
@@ -211,7 +213,8 @@ class DeviceScene:
         worlds = sorted(starts)
         ends = [starts[w] for w in worlds[1:]] + [(self.instance_count, self.cluster_slots)]
         self._world_ranges = {
-            w: (starts[w][0], e[0] - starts[w][0], starts[w][1], e[1] - starts[w][1]) for w, e in zip(worlds, ends, strict=True)
+            w: (starts[w][0], e[0] - starts[w][0], starts[w][1], e[1] - starts[w][1])
+            for w, e in zip(worlds, ends, strict=True)
         }
 
     def view_range(self, world: int) -> tuple[int, int, int, int, int, int]:
@@ -257,4 +260,8 @@ def as_float_array(value: object, device: wp.Device) -> wp.array:
     if not lengths:
         return array
     shape = (*array.shape, *lengths)
-    return wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=device, copy=False) if array.is_contiguous else as_float_array(array.contiguous(), device)
+    return (
+        wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=device, copy=False)
+        if array.is_contiguous
+        else as_float_array(array.contiguous(), device)
+    )

@@ -76,7 +76,14 @@ class Explanation:
         ]
         if total:
             rows.append(["sum", "", "", f"{sum(total):.3f}", "", ""])
-        columns = [("pass", "left"), ("", "left"), ("rung", "left"), ("ms", "right"), ("bytes", "right"), ("why", "left")]
+        columns = [
+            ("pass", "left"),
+            ("", "left"),
+            ("rung", "left"),
+            ("ms", "right"),
+            ("bytes", "right"),
+            ("why", "left"),
+        ]
         return _table(self.title, columns, rows) + "\n" + "\n".join(f"  {note}" for note in self.notes)
 
     def to_dict(self) -> dict[str, Any]:
@@ -106,7 +113,9 @@ class MemoryReport:
     def of(cls, plan: Plan, scene: DeviceScene) -> MemoryReport:
         """Gather a plan's memory."""
         r = plan.resources
-        tables = sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.size + r.lights.bytes
+        tables = (
+            sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.size + r.lights.bytes
+        )
         outputs = sum(a.capacity if a.capacity else a.size * 4 for a in (r.channels[n] for n in plan.outputs))
         return cls(dict(plan.memory), plan.arena.capacity, outputs, tables, scene.bytes)
 

@@ -61,7 +61,11 @@ class Plan:
     """
 
     def __init__(
-        self, request: Request, scene: DeviceScene, lights: LightStore, progress: Callable[[str, int, int], None] | None = None
+        self,
+        request: Request,
+        scene: DeviceScene,
+        lights: LightStore,
+        progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.request = request
         self.layout = ViewLayout(request.sizes, request.settings.light_culling.tile_size)
@@ -170,7 +174,9 @@ class Plan:
             large = int(channels["large_count"].numpy()[0])
             result.append(f"{large:,} large triangles of {raster.large_capacity:,} that fit the store")
             if large > raster.large_capacity:
-                result.append(f"{large - raster.large_capacity:,} drawn by the slower path: raise raster.large_capacity")
+                result.append(
+                    f"{large - raster.large_capacity:,} drawn by the slower path: raise raster.large_capacity"
+                )
             used = int(channels["bin_offsets"].numpy()[-1]) + int(channels["bin_counts"].numpy()[-1])
             result.append(f"{used:,} bin entries of {raster.bin_capacity:,} that fit")
             if used > raster.bin_capacity:
@@ -183,7 +189,8 @@ class Plan:
             return list(self._reports)
         times = self.resources.program.measure(repeats)
         return [
-            dataclasses.replace(r, milliseconds=statistics.median(times[r.name])) if r.runs else r for r in self._reports
+            dataclasses.replace(r, milliseconds=statistics.median(times[r.name])) if r.runs else r
+            for r in self._reports
         ]
 
 
@@ -191,12 +198,16 @@ def _padded(size: int) -> int:
     return -(-max(size, 1) // ALIGNMENT) * ALIGNMENT
 
 
-def _place(names: list[str], sizes: dict[str, int], born: dict[str, int], dies: dict[str, int]) -> tuple[dict[str, int], int]:
+def _place(
+    names: list[str], sizes: dict[str, int], born: dict[str, int], dies: dict[str, int]
+) -> tuple[dict[str, int], int]:
     """Offsets in one arena, largest first, each at the lowest place free for its whole life."""
     places: dict[str, int] = {}
     total = 0
     for name in sorted(names, key=lambda n: -sizes[n]):
-        overlapping = sorted((places[o], places[o] + sizes[o]) for o in places if born[o] <= dies[name] and born[name] <= dies[o])
+        overlapping = sorted(
+            (places[o], places[o] + sizes[o]) for o in places if born[o] <= dies[name] and born[name] <= dies[o]
+        )
         offset = 0
         for low, high in overlapping:
             if offset + sizes[name] <= low:

@@ -108,20 +108,36 @@ class Program:
         """Add a device operation that is no kernel of ours: a memset or a scan."""
         self.sections[-1].steps.append([function])
 
-    def _command(self, kernel: Any, dims: list[int], inputs: list[Any], outputs: list[Any], block_dim: int, tiled: bool) -> Any:
+    def _command(
+        self, kernel: Any, dims: list[int], inputs: list[Any], outputs: list[Any], block_dim: int, tiled: bool
+    ) -> Any:
         if self.device.is_cuda:
             if tiled:
                 dims = [*dims, block_dim]
 
             def run() -> None:
-                wp.launch(kernel, dim=dims, inputs=inputs, outputs=outputs, device=self.device, block_dim=block_dim, record_tape=False)
+                wp.launch(
+                    kernel,
+                    dim=dims,
+                    inputs=inputs,
+                    outputs=outputs,
+                    device=self.device,
+                    block_dim=block_dim,
+                    record_tape=False,
+                )
 
             return run
         if tiled:
             # The CPU backend runs a block as one lane.
             dims = [*dims, 1]
         command = wp.launch(
-            kernel, dim=dims, inputs=inputs, outputs=outputs, device=self.device, block_dim=1 if tiled else block_dim, record_cmd=True
+            kernel,
+            dim=dims,
+            inputs=inputs,
+            outputs=outputs,
+            device=self.device,
+            block_dim=1 if tiled else block_dim,
+            record_cmd=True,
         )
         return command.launch
 
@@ -144,7 +160,9 @@ class Program:
         for done, ((name, _), (kernel, block_dim)) in enumerate(pending.items()):
             if progress:
                 progress(kernel.key.removesuffix("_kernel"), done, len(pending))
-            kernel.module.load(self.device, block_dim=block_dim) if self.device.is_cuda else kernel.module.load(self.device)
+            kernel.module.load(self.device, block_dim=block_dim) if self.device.is_cuda else kernel.module.load(
+                self.device
+            )
         if progress:
             progress("", len(pending), len(pending))
 

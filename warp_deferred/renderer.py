@@ -65,7 +65,9 @@ class Renderer:
         threads: int | None = None,
     ) -> None:
         if not isinstance(scene, Scene):
-            raise input_error("Renderer.scene", "a Scene", type(scene).__name__, "load one with warp_deferred.load(...)")
+            raise input_error(
+                "Renderer.scene", "a Scene", type(scene).__name__, "load one with warp_deferred.load(...)"
+            )
         self.scene = scene
         self.width = check_count("Renderer.width", width, 1, MAX_SIZE, "images are 1 to 16384 pixels a side")
         self.height = check_count("Renderer.height", height, 1, MAX_SIZE, "images are 1 to 16384 pixels a side")
@@ -73,7 +75,9 @@ class Renderer:
             raise input_error("Renderer.outputs", "a sequence of names", outputs, f"write outputs=({outputs!r},)")
         self.outputs = frozenset(check_choice("Renderer.outputs", name, OUTPUTS) for name in outputs)
         if not self.outputs:
-            raise input_error("Renderer.outputs", "at least one name", "<nothing>", 'the picture is outputs=("display",)')
+            raise input_error(
+                "Renderer.outputs", "at least one name", "<nothing>", 'the picture is outputs=("display",)'
+            )
         if settings is not None and not isinstance(settings, Settings):
             raise input_error("Renderer.settings", "a Settings object", type(settings).__name__)
         self._settings = settings
@@ -128,7 +132,12 @@ class Renderer:
         plan.packer.write(block, cameras, self._ranges(cameras))
         environment = self.scene.environment
         VALUES.pack_into(
-            block, resources.frame.values_offset, *environment.ambient, len(self.scene.lights), *environment.background, len(cameras)
+            block,
+            resources.frame.values_offset,
+            *environment.ambient,
+            len(self.scene.lights),
+            *environment.background,
+            len(cameras),
         )
         resources.frame.upload()
         if poses is not None:
@@ -151,7 +160,9 @@ class Renderer:
         if camera is None:
             camera = self.scene.camera
             if camera is None:
-                raise input_error("render.camera", "a Camera", None, "the scene has none: pass one, or set scene.camera")
+                raise input_error(
+                    "render.camera", "a Camera", None, "the scene has none: pass one, or set scene.camera"
+                )
         cameras = [camera] if isinstance(camera, Camera) else list(camera)
         if not cameras or not all(isinstance(c, Camera) for c in cameras):
             raise input_error("render.camera", "a Camera or a sequence of them", camera)
@@ -267,4 +278,3 @@ def _device(device: Any) -> wp.Device:
     except Exception as error:
         known = ", ".join(str(d) for d in wp.get_devices())
         raise DeviceError(f"device: expected one of {known}, got {device!r}; leave it out for the default") from error
-

@@ -36,7 +36,9 @@ class FrameBlock:
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
         pinned = device.is_cuda
-        self._slots = [wp.zeros(self.size, dtype=wp.uint8, device="cpu", pinned=pinned) for _ in range(self.RING if pinned else 1)]
+        self._slots = [
+            wp.zeros(self.size, dtype=wp.uint8, device="cpu", pinned=pinned) for _ in range(self.RING if pinned else 1)
+        ]
         self._memory = [memoryview(slot.numpy()).cast("B") for slot in self._slots]
         self._events: list[wp.Event | None] = [None] * len(self._slots)
         self._next = 0

@@ -75,7 +75,16 @@ class ViewLayout:
             tiles_x, coarse_x = _cells(s.width, tile_size), _cells(s.width, coarse)
             bins_x = _cells(s.width, 16)
             self.fields.append(
-                (offsets[s.depth_only], s.width, counts["tiles"], tiles_x, counts["coarse"], coarse_x, counts["bins"], bins_x)
+                (
+                    offsets[s.depth_only],
+                    s.width,
+                    counts["tiles"],
+                    tiles_x,
+                    counts["coarse"],
+                    coarse_x,
+                    counts["bins"],
+                    bins_x,
+                )
             )
             tables["bins"].append(_grid(v, s, 16))
             if light:
@@ -129,7 +138,9 @@ class ViewPacker:
         self._pack = struct.Struct(_struct_format(dtype)).pack_into
         self._cull = CULL_MODES[cull]
 
-    def write(self, buffer: memoryview, cameras: list[Camera], ranges: list[tuple[int, ...]], depth_clamp: bool = False) -> None:
+    def write(
+        self, buffer: memoryview, cameras: list[Camera], ranges: list[tuple[int, ...]], depth_clamp: bool = False
+    ) -> None:
         """Pack one camera a view.
 
         Args:

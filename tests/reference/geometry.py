@@ -12,7 +12,7 @@ import numpy as np
 
 from .data import Instance, View
 
-__all__ = ["GUARD_PX", "Pieces", "clip_polygon", "make_pieces", "project", "seen", "snap", "to_world"]
+__all__ = ["GUARD_PX", "Pieces", "clip_polygon", "make_pieces", "project", "seen", "snap", "to_world", "unproject"]
 
 GUARD_PX = 32768.0
 SUBPIXELS = 256
@@ -63,6 +63,14 @@ def project(points: np.ndarray, view: View) -> np.ndarray:
         w = -local[..., 2]
         z = np.full(local.shape[:-1], float(view.near))
     return np.stack([fx * local[..., 0] + cx * w, cy * w - fy * local[..., 1], z, w], axis=-1)
+
+
+def unproject(x: np.ndarray, y: np.ndarray, depth: np.ndarray, view: View) -> np.ndarray:
+    """Find the world points (n, 3) seen at pixel centres of columns x and rows y at a view depth [m]."""
+    fx, fy, cx, cy = view.projection
+    w = np.ones_like(depth) if view.orthographic else depth
+    local = np.stack([(x + 0.5 - cx) / fx * w, (cy - y - 0.5) / fy * w, -depth], axis=-1)
+    return local @ np.asarray(view.rotation, float) + np.asarray(view.eye, float)
 
 
 def _cut(a: np.ndarray, b: np.ndarray, plane: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from . import brdf
 from .color import linear_depth
 from .data import Material, Scene, View
-from .geometry import Pieces, make_pieces, seen
+from .geometry import Pieces, make_pieces, seen, unproject
 from .lights import incoming
 from .raster import Visibility, draw
 from .surface import Soup, Surface, alpha_at, gather, make_soup
@@ -116,13 +116,16 @@ def _material_ids(scene: Scene) -> np.ndarray:
     return ids
 
 
-def render(scene: Scene, view: View, edges: bool = True) -> dict[str, np.ndarray]:
+def render(scene: Scene, view: View, edges: bool = True, point_from: str = "surface") -> dict[str, np.ndarray]:
     """Render one view.
 
     Args:
         scene: What there is.
         view: From where and how large.
         edges: Whether `edge_distance` is worth its time.
+        point_from: Where a pixel's world position comes from, which light falls on. "surface": the exact point of the
+            original triangle. "depth": the pixel's ray at the stored depth, which carries the snap of the vertices by
+            up to 1/512 px; a deferred renderer that keeps no positions can do no better.
 
     Returns:
         Arrays of (height, width) or (height, width, 3). Layers: color, diffuse, specular, alpha, depth, normal,
@@ -137,9 +140,12 @@ def render(scene: Scene, view: View, edges: bool = True) -> dict[str, np.ndarray
     piece = seen_by.piece[y, x]
     source = pieces.source[piece]
     surface = gather(scene, soup, source, back_facing(pieces, soup)[piece], x, y)
+    z = seen_by.z[y, x]
+    depth = linear_depth(z, near=view.near, far=view.far, orthographic=view.orthographic)
+    if point_from == "depth":
+        surface.position = unproject(x, y, depth, view)
     diffuse, specular, light_count = shade(scene, view, surface)
     color = diffuse + specular + _ambient(scene, surface) + surface.emissive
-    z = seen_by.z[y, x]
     labels = np.array([i.label for i in scene.instances], int)
     instance = soup.instance[source]
 
@@ -154,7 +160,7 @@ def render(scene: Scene, view: View, edges: bool = True) -> dict[str, np.ndarray
         "diffuse": image(diffuse),
         "specular": image(specular),
         "alpha": image(np.ones(len(x))),
-        "depth": image(linear_depth(z, near=view.near, far=view.far, orthographic=view.orthographic), np.inf),
+        "depth": image(depth, np.inf),
         "normal": image(surface.normal),
         "position": image(surface.position),
         "albedo": image(surface.base_color[:, :3]),

@@ -53,7 +53,12 @@ class DisplayPass(Pass):
         radiance, color = resources.channel("radiance", wp.vec4h), resources.channel("color", wp.vec3)
         inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, self.guesses, FIRST]
         resources.program.launch(
-            self.kernel, len(self.layout.blocks) * 64, inputs, [resources.channels["display"]], block_dim=kernels.BLOCK_DIM, band=64
+            self.kernel,
+            len(self.layout.blocks) * 64,
+            inputs,
+            [resources.channels["display"]],
+            block_dim=kernels.BLOCK_DIM,
+            band=64,
         )
 
     def bytes_moved(self) -> int:

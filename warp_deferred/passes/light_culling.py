@@ -82,19 +82,25 @@ class LightCullingPass(Pass):
         block = kernels.BLOCK_DIM
         if self.request.settings.light_culling.rung == "brute_force":
             program.launch(
-                kernels.all_lights_kernel, (tiles, masks.words_per_tile), [frame.values, FIRST], [masks], block_dim=block, band=1
+                kernels.all_lights_kernel,
+                (tiles, masks.words_per_tile),
+                [frame.values, FIRST],
+                [masks],
+                block_dim=block,
+                band=1,
             )
             return
         shift, coarse_shift = masks.tile_shift, masks.coarse_shift
         depth = resources.channels["depth"]
         program.call(masks.coarse.zero_)
+        # Tile operations use one arena a process on the CPU backend: these two stay on one host thread.
         program.launch(
             kernels.tile_bounds_kernel, tiles, [frame.views, resources.tiles, depth, shift, FIRST], [masks.bounds],
-            block_dim=block, band=1, tiled=True,
+            block_dim=block, tiled=True,
         )  # fmt: skip
         program.launch(
             kernels.coarse_bounds_kernel, coarse, [frame.views, resources.coarse_tiles, masks.bounds, shift, coarse_shift, FIRST],
-            [masks.coarse_bounds], block_dim=block, band=1, tiled=True,
+            [masks.coarse_bounds], block_dim=block, tiled=True,
         )  # fmt: skip
         lights = resources.lights.staged
         program.launch(
@@ -102,7 +108,12 @@ class LightCullingPass(Pass):
             [masks], block_dim=block, band=1,
         )  # fmt: skip
         program.launch(
-            self.fine, (tiles, masks.words_per_tile), [frame.views, resources.tiles, lights, FIRST], [masks], block_dim=block, band=1
+            self.fine,
+            (tiles, masks.words_per_tile),
+            [frame.views, resources.tiles, lights, FIRST],
+            [masks],
+            block_dim=block,
+            band=1,
         )
 
     def bytes_moved(self) -> int:

@@ -66,7 +66,9 @@ class RasterPass(Pass):
             result["large_triangles"] = Buffer(structs.LargeTriangle, raster.large_capacity)
             result["large_count"] = Buffer(wp.int32, 1, lasting=True)
             result["bin_entries"] = Buffer(wp.int32, max(raster.bin_capacity, 1))
-            result |= {name: Buffer(wp.int32, tiles, lasting=True) for name in ("bin_counts", "bin_offsets", "bin_cursors")}
+            result |= {
+                name: Buffer(wp.int32, tiles, lasting=True) for name in ("bin_counts", "bin_offsets", "bin_cursors")
+            }
         return result
 
     def prepare(self, resources: Resources) -> None:
@@ -103,7 +105,15 @@ class RasterPass(Pass):
     def run(self, resources: Resources) -> None:
         """Clear, draw, bin, merge."""
         program = resources.program
-        for name in ("keys", "depth_keys", "slice_keys", "slice_depth_keys", "large_count", "bin_counts", "bin_cursors"):
+        for name in (
+            "keys",
+            "depth_keys",
+            "slice_keys",
+            "slice_depth_keys",
+            "large_count",
+            "bin_counts",
+            "bin_cursors",
+        ):
             if name in resources.channels:
                 program.call(resources.channels[name].zero_)
         if not self.request.candidates:
@@ -139,7 +149,11 @@ class RasterPass(Pass):
 
         def bin_step(filling: int) -> None:
             program.launch(
-                self.bin_triangles, lanes * groups, [views, target, lanes, groups, filling], [self.bins], block_dim=bin_kernels.BLOCK_DIM
+                self.bin_triangles,
+                lanes * groups,
+                [views, target, lanes, groups, filling],
+                [self.bins],
+                block_dim=bin_kernels.BLOCK_DIM,
             )
 
         bin_step(0)

@@ -122,11 +122,21 @@ class ResolvePass(Pass):
         threads = len(self.layout.blocks) * 64
         if self.resolves:
             pairs = resources.channel("pairs", structs.Pair)
-            inputs = [frame.views, resources.blocks, resources.scene.geometry, resources.scene.materials, pairs, channels["keys"], FIRST]
+            inputs = [
+                frame.views,
+                resources.blocks,
+                resources.scene.geometry,
+                resources.scene.materials,
+                pairs,
+                channels["keys"],
+                FIRST,
+            ]
             program.launch(self.kernel, threads, inputs, [self.gbuffer, self.out], block_dim=kernels.BLOCK_DIM, band=64)
         if "depth" in channels and not needs_gbuffer(self.request):
             inputs = [frame.views, resources.blocks, channels["keys"], FIRST]
-            program.launch(kernels.depth_layer_kernel, threads, inputs, [channels["depth"]], block_dim=kernels.BLOCK_DIM, band=64)
+            program.launch(
+                kernels.depth_layer_kernel, threads, inputs, [channels["depth"]], block_dim=kernels.BLOCK_DIM, band=64
+            )
 
     def bytes_moved(self) -> int:
         """Keys in, channels out; a triangle's vertices are counted once a triangle, up to one a pixel."""

@@ -31,7 +31,11 @@ class ShadePass(Pass):
     def float_color(self) -> bool:
         """Whether radiance is kept in float32: it was asked for, or the setting says so."""
         request = self.request
-        return "color" in request.outputs or request.settings.shade.radiance == "float32" or request.settings.gbuffer.rung == "full"
+        return (
+            "color" in request.outputs
+            or request.settings.shade.radiance == "float32"
+            or request.settings.gbuffer.rung == "full"
+        )
 
     def rung(self) -> str:
         """Radiance format."""
@@ -57,7 +61,12 @@ class ShadePass(Pass):
         features = self.request.features
         outputs = tuple(n for n in kernels.OUTPUTS if n in self.writes())
         self.kernel = kernels.make_shade_kernel(
-            gbuffer_codec(self.request), features.models, features.kinds, features.polynomial, features.emissive, outputs
+            gbuffer_codec(self.request),
+            features.models,
+            features.kinds,
+            features.polynomial,
+            features.emissive,
+            outputs,
         )
         self.gbuffer = make_gbuffer(resources)
         self.masks = make_masks(resources, features.light_capacity)
@@ -69,13 +78,24 @@ class ShadePass(Pass):
         """One launch."""
         frame = resources.frame
         emission = resources.channel("emission", wp.vec3)
-        inputs = [frame.views, frame.values, resources.blocks, self.gbuffer, emission, resources.lights.staged, self.masks, FIRST]
+        inputs = [
+            frame.views,
+            frame.values,
+            resources.blocks,
+            self.gbuffer,
+            emission,
+            resources.lights.staged,
+            self.masks,
+            FIRST,
+        ]
         resources.program.launch(
             self.kernel, len(self.layout.blocks) * 64, inputs, [self.out], block_dim=kernels.BLOCK_DIM, band=64
         )
 
     def bytes_moved(self) -> int:
         """G-buffer in, radiance out."""
-        read = 4 + sum(wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values())
+        read = 4 + sum(
+            wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
+        )
         written = sum(wp.types.type_size_in_bytes(b.dtype) for b in self.writes().values())
         return self.layout.pixels * (read + written) if needs_gbuffer(self.request) else 0
