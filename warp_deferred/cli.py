@@ -335,7 +335,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         if type(error).__name__ == "NoArgsIsHelpError":
             return 2  # the help is on the screen already
-        return _fail(f"{error.format_message()}; see warp-deferred --help")
+        return _fail(f"{error.format_message().rstrip('.')}; see warp-deferred --help")
 
 
 def _fail(message: str) -> int:
