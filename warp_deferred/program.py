@@ -50,7 +50,7 @@ class Program:
     """
 
     def __init__(self, device: wp.Device, threads: int) -> None:
-        self.device, self.threads = device, threads
+        self.device, self.threads = device, max(1, threads)
         self.sections: list[Section] = []
         self.kernels: list[tuple[Any, int]] = []
         self._graph: Any = None
@@ -157,7 +157,7 @@ class Program:
         pending: dict[tuple[str, int], Any] = {}
         for kernel, block_dim in self.kernels:
             pending[(kernel.module.name, 1 if self.device.is_cpu else block_dim)] = (kernel, block_dim)
-        for done, ((name, _), (kernel, block_dim)) in enumerate(pending.items()):
+        for done, (kernel, block_dim) in enumerate(pending.values()):
             if progress:
                 progress(kernel.key.removesuffix("_kernel"), done, len(pending))
             kernel.module.load(self.device, block_dim=block_dim) if self.device.is_cuda else kernel.module.load(
