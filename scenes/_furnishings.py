@@ -64,7 +64,7 @@ def armillary_rings(radius: float) -> list[Shape]:
     """Three nested sets of rings around the origin, each of which turns by itself, then the stand below them."""
 
     def hoop(r: float, width: float) -> Shape:
-        w, h = width / 2, 0.016
+        w, h = 0.7 * width, 0.028
         return lathe([(r - h, -w), (r + h, -w), (r + h, w), (r - h, w), (r - h, -w)], 128)
 
     r = radius

@@ -37,7 +37,8 @@ END = BACK - 0.9
 """z of the end wall."""
 APSE_RADIUS = 2.7
 """Inner radius of the apse."""
-_CREAM, _SLATE, _DEEP = np.array([0.46, 0.42, 0.36]), np.array([0.055, 0.06, 0.075]), np.array([0.16, 0.045, 0.035])
+_CREAM, _SLATE = np.array([0.46, 0.42, 0.36]), np.array([0.055, 0.06, 0.075])
+_DEEP, _VERDE = np.array([0.20, 0.05, 0.04]), np.array([0.13, 0.17, 0.15])
 
 
 def column_places() -> np.ndarray:
@@ -86,7 +87,10 @@ def _cabochons(x: np.ndarray, z: np.ndarray, cut: float, color: np.ndarray, rng:
     c = 0.5**0.5
     turned = square.moved(np.array([[c, 0, c, 0], [0, 1, 0, 0], [-c, 0, c, 0], [0, 0, 0, 1.0]]))
     centre = np.repeat(np.stack([x, np.zeros(len(x)), z], -1), 4, axis=0)
-    return dataclasses.replace(turned, positions=turned.positions + centre)
+    positions = turned.positions + centre
+    # Half of an outermost square would lie in the same plane as the band beside it, and flicker.
+    positions[:, 0] = np.clip(positions[:, 0], x.min(), x.max())
+    return dataclasses.replace(turned, positions=positions)
 
 
 def floor(rng: np.random.Generator) -> Shape:
@@ -97,7 +101,7 @@ def floor(rng: np.random.Generator) -> Shape:
     xs = size * (np.arange(6) - 2.5)
     x, z = (a.ravel() for a in np.meshgrid(xs, zs))
     lane = np.round(np.abs(x) / size - 0.5).astype(int)
-    color = np.where((lane == 2)[:, None], _SLATE * 1.7, _CREAM)
+    color = np.where((lane == 2)[:, None], _VERDE, _CREAM)
     color = np.where(((lane == 0) & (np.round(z / size).astype(int) % 4 == 0))[:, None], _DEEP, color)
     pieces = [_tiles(x, z, size, cut, color, rng)]
     gx, gz = (a.ravel() for a in np.meshgrid(size * (np.arange(7) - 3), np.append(zs - size / 2, zs[0] + size / 2)))

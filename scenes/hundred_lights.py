@@ -58,24 +58,24 @@ def _point_rows(rng: np.random.Generator) -> dict[str, np.ndarray]:
     z = hall.bay_centres()
     for depth in z:
         for side in (-1.0, 1.0):
-            rows.append(((side * hall.NAVE, 4.05, depth), (0.10, 0.0, 0.14), AMBER, 11.0, 5.6, 0.085))
+            rows.append(((side * hall.NAVE, 4.05, depth), (0.10, 0.0, 0.14), AMBER, 7.0, 5.2, 0.085))
     for k, depth in enumerate(z):
         for side in (-1.0, 1.0):
             color = ROSE if (k, side) in ((1, -1.0), (3, 1.0), (5, -1.0)) else (TEAL, BLUE)[(k + int(side > 0)) % 2]
-            rows.append(((side * 5.5, 2.4, depth), (0.35, 0.7, 0.9), color, 4.5, 5.0, 0.045))
+            rows.append(((side * 5.5, 2.4, depth), (0.35, 0.7, 0.9), color, 4.5, 5.0, 0.04))
     for k in range(12):
         depth = np.interp(k, [0, 11], [hall.FRONT - 2.0, hall.BACK])
         rows.append(((rng.uniform(-1.2, 1.2), 8.6, depth), (1.1, 0.5, 1.6), BLUE if k % 3 else TEAL, 5.0, 5.5, 0.04))
     for k in range(12):
         turn = 2.0 * np.pi * k / 12
         around = HEART + np.array([2.1 * math.cos(turn), rng.uniform(-1.2, 1.3), 0.9 * math.sin(turn)])
-        rows.append((around, (0.5, 0.4, 0.3), (GOLD, AMBER, GOLD, ROSE)[k % 4], 1.4, 3.0, 0.05))
-    rows[-1] = (HEART, (0.02, 0.04, 0.02), GOLD, 8.0, 5.0, 0.30)
+        rows.append((around, (0.5, 0.4, 0.3), (GOLD, AMBER, GOLD, ROSE)[k % 4], 1.2, 2.4, 0.04))
+    rows[-1] = (HEART, (0.02, 0.04, 0.02), GOLD, 6.0, 3.4, 0.36)
     colors = [AMBER] * 9 + [GOLD] * 5 + [EMBER] * 3 + [TEAL] * 2 + [ROSE]
     for k in range(44):
-        depth = np.interp(k + rng.uniform(-0.4, 0.4), [0, 43], [hall.FRONT - 4.0, hall.BACK + 1.0])
+        depth = np.interp(k + rng.uniform(-0.4, 0.4), [0, 43], [hall.FRONT - 5.5, hall.BACK + 1.0])
         place = (rng.uniform(-2.3, 2.3), rng.uniform(0.5, 3.0), depth)
-        rows.append((place, (0.9, 0.4, 1.2), colors[rng.integers(len(colors))], rng.uniform(0.8, 1.6), 3.8, 0.032))
+        rows.append((place, (0.9, 0.4, 1.2), colors[rng.integers(len(colors))], rng.uniform(0.8, 1.6), 3.8, 0.026))
     names = ("centre", "amplitude", "color", "intensity", "range", "size")
     return {name: np.array([row[k] for row in rows], float) for k, name in enumerate(names)}
 
@@ -86,13 +86,24 @@ def _spot_rows() -> dict[str, np.ndarray]:
     for x, _, z in hall.column_places():
         side = math.copysign(1.0, x)
         # One from the floor up along the shaft, one from the capital down to the foot, both on the side of the nave.
-        rows.append(((x - side * 0.85, 0.1, z), (side * 0.10, 1.0, 0.0), 0.10, AMBER, 7.0, 5.2, 8.0, 30.0))
-        rows.append(((x - side * 0.70, 4.2, z), (side * 0.02, -1.0, 0.0), 0.12, GOLD, 10.0, 5.0, 6.0, 26.0))
-        rows.append(((x - side * 0.75, 7.3, z), (-side * 0.30, 1.0, 0.0), 0.12, TEAL, 5.0, 5.0, 12.0, 44.0))
+        rows.append(((x - side * 0.85, 0.1, z), (side * 0.10, 1.0, 0.0), 0.10, AMBER, 4.5, 3.6, 8.0, 34.0))
+        rows.append(((x - side * 0.70, 4.2, z), (side * 0.02, -1.0, 0.0), 0.12, GOLD, 7.0, 4.4, 6.0, 26.0))
+        rows.append(
+            (
+                (x - side * 0.75, 7.3, z),
+                (-side * 0.30, 1.0, 0.0),
+                0.12,
+                TEAL if side > 0 else BLUE,
+                4.5,
+                5.0,
+                12.0,
+                44.0,
+            )
+        )
     for k, z in enumerate(hall.bay_centres()):
         for side in (-1.0, 1.0):
-            color = GOLD if k % 2 else AMBER
-            rows.append(((side * 1.5, 6.6, z), (-side * 0.10, -1.0, 0.0), 0.32, color, 120.0, 8.0, 5.0, 16.0))
+            color = TEAL if (k + int(side > 0)) % 3 == 0 else GOLD
+            rows.append(((side * 1.5, 6.6, z), (-side * 0.10, -1.0, 0.0), 0.22, color, 170.0, 8.0, 9.0, 15.0))
             color = (BLUE, ROSE)[(k + int(side > 0)) % 2]
             rows.append(((side * 6.2, 0.75, z), (side * 0.32, 1.0, 0.0), 0.10, color, 7.0, 6.0, 10.0, 42.0))
     for k in range(12):
@@ -104,7 +115,7 @@ def _spot_rows() -> dict[str, np.ndarray]:
         else:
             place = np.array([0.0, 0.15, hall.END]) + out * (hall.APSE_RADIUS - 0.45)
             rows.append(
-                (place, (0.10 * out[0], 1.0, 0.10 * out[2]), 0.06, BLUE if k % 4 else TEAL, 9.0, 7.5, 10.0, 34.0)
+                (place, (0.10 * out[0], 1.0, 0.10 * out[2]), 0.06, BLUE if k % 4 else TEAL, 22.0, 7.5, 10.0, 36.0)
             )
     names = ("place", "aim", "sweep", "color", "intensity", "range", "inner", "outer")
     return {name: np.array([row[k] for row in rows], float) for k, name in enumerate(names)}
@@ -203,7 +214,7 @@ def build(*, seed: int = 7, brightness: float = 1.0) -> Scene:
     factor = check_range("hundred_lights.brightness", brightness, 0.0, 1e6)
     scene = Scene("hundred_lights")
     scene.animate = animate
-    scene.environment = Environment(ambient=(0.012, 0.015, 0.026), background=(0.002, 0.002, 0.004))
+    scene.environment = Environment(ambient=(0.016, 0.021, 0.038), background=(0.002, 0.002, 0.004))
     scene.cameras.append(
         Camera.look_at((0.70, 1.65, 2.9), (-0.20, 3.10, -14.0), vertical_fov_deg=52.0, exposure=0.5, name="nave")
     )
