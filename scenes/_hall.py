@@ -11,9 +11,9 @@ import dataclasses
 
 import numpy as np
 
-from .shapes import Shape, arch, bevelled_box, box, coffered_vault, column, join, lathe, plane, surface
+from .shapes import Shape, arch, bevelled_box, box, coffered_vault, column, join, lathe, plane, sphere, surface, torus
 
-__all__ = ["APSE_RADIUS", "BAY", "BAYS", "NAVE", "bay_centres", "column_places", "floor", "stonework"]
+__all__ = ["APSE_RADIUS", "BAY", "BAYS", "NAVE", "bay_centres", "column_places", "floor", "rose_window", "stonework"]
 
 BAY, BAYS = 3.6, 8
 """Length of a bay, and their number."""
@@ -110,7 +110,7 @@ def floor(rng: np.random.Generator) -> Shape:
     middle = 0.5 * (zs[0] + zs[-1])
     for side in (-1.0, 1.0):
         band = plane(1.8, length, columns=12, rows=int(length / 0.15)).at(side * 3.6, 0.0, middle)
-        pieces.append(_contact(dataclasses.replace(band, colors=np.tile(_SLATE * 1.6, (len(band.positions), 1)))))
+        pieces.append(_contact(dataclasses.replace(band, colors=np.tile(_SLATE * 2.0, (len(band.positions), 1)))))
         ax, az = (a.ravel() for a in np.meshgrid(side * (4.5 + size * (np.arange(3) + 0.5)), zs))
         even = (np.round(ax / size - 0.5) + np.round(az / size)).astype(int) % 2 == 0
         pieces.append(_tiles(ax, az, size, 0.0, np.where(even[:, None], _CREAM * 0.6, _SLATE), rng))
@@ -130,6 +130,43 @@ def _half_ring(radius: float, tube: float, sides: int = 8, segments: int = 32) -
     out = np.stack([np.cos(t) * np.cos(a), np.cos(t) * np.sin(a), np.sin(t) * np.ones_like(a)], -1)
     centre = np.stack([np.cos(a), np.sin(a), np.zeros_like(a)], -1) * radius
     return surface(centre + tube * out, out)
+
+
+def _voussoirs(inner: float, outer: float, depth: float, count: int, rng: np.random.Generator) -> Shape:
+    """Ring of wedge stones around an arch, pale and red in turn, springing at y = 0, `depth` thick along z."""
+    a = np.linspace(0.0, np.pi, 2 * count + 1).reshape(-1)
+    pieces = []
+    for k in range(count):
+        # Two facets a stone; a hair of a gap between stones shows as a joint.
+        angle = a[2 * k : 2 * k + 3] + np.array([0.006, 0.0, -0.006])
+        out = np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], -1)
+        edge = np.array([0.0, 0.0, depth / 2])
+        under = surface(np.stack([out * inner + edge, out * inner - edge]), np.stack([-out] * 2))
+        over = surface(np.stack([out * outer - edge, out * outer + edge]), np.stack([out] * 2))
+        front = np.stack([out * outer + edge, out * inner + edge])
+        normal = np.broadcast_to([0.0, 0.0, 1.0], front.shape)
+        flip = np.array([1.0, 1.0, -1.0])
+        stone = join(under, over, surface(front, normal), surface(front[::-1] * flip, normal * flip))
+        shade = np.array([1.0, 1.0, 1.0]) if k % 2 == 0 else np.array([0.60, 0.30, 0.22])
+        pieces.append(stone.tinted(shade * rng.uniform(0.85, 1.0)))
+    return join(*pieces)
+
+
+def rose_window() -> tuple[Shape, list[Shape]]:
+    """Stone tracery and panes of a round window in the plane z = 0; the panes are a heart and rings of petals."""
+    upright = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]])
+
+    def pane(radius: float) -> Shape:
+        return sphere(radius, 24, 12).moved(np.diag([1.0, 1.0, 0.12, 1.0]))
+
+    tracery, petals, buds = [torus(1.12, 0.10, 64, 12), torus(0.98, 0.05, 64, 10), torus(0.33, 0.05, 40, 10)], [], []
+    for k in range(12):
+        c, s = np.cos(np.pi * k / 6), np.sin(np.pi * k / 6)
+        tracery.append(torus(0.185, 0.032, 28, 8).at(0.76 * c, 0.0, 0.76 * s))
+        petals.append(pane(0.175).at(0.76 * c, 0.76 * s, 0.0))
+        c, s = np.cos(np.pi * (k + 0.5) / 6), np.sin(np.pi * (k + 0.5) / 6)
+        buds.append(pane(0.075).at(0.48 * c, 0.48 * s, 0.0))
+    return join(*tracery).moved(upright), [join(*petals[::2]), join(*petals[1::2]), join(*buds), pane(0.31)]
 
 
 def _rib() -> Shape:
@@ -244,8 +281,9 @@ def stonework(rng: np.random.Generator) -> list[tuple[str, Shape, list[np.ndarra
     span = BAY - 2 * SHAFT - 0.12
     bay_arch = join(
         arch(span, BAY, CORNICE - COLUMN, 0.72, segments=32),
-        _half_ring(span / 2 + 0.12, 0.07).at(0.0, 0.0, 0.36),
-        _half_ring(span / 2 + 0.12, 0.07).at(0.0, 0.0, -0.36),
+        _half_ring(span / 2 + 0.36, 0.045).at(0.0, 0.0, 0.36),
+        _half_ring(span / 2 + 0.36, 0.045).at(0.0, 0.0, -0.36),
+        _voussoirs(span / 2 - 0.02, span / 2 + 0.33, 0.78, 17, rng),
     )
     quarter = np.pi / 2
     arches = [np.array([side * NAVE, COLUMN, z, quarter]) for z in bay_centres() for side in (-1.0, 1.0)]

@@ -86,8 +86,8 @@ def _spot_rows() -> dict[str, np.ndarray]:
     for x, _, z in hall.column_places():
         side = math.copysign(1.0, x)
         # One from the floor up along the shaft, one from the capital down to the foot, both on the side of the nave.
-        rows.append(((x - side * 0.85, 0.1, z), (side * 0.10, 1.0, 0.0), 0.10, AMBER, 4.5, 3.6, 8.0, 34.0))
-        rows.append(((x - side * 0.70, 4.2, z), (side * 0.02, -1.0, 0.0), 0.12, GOLD, 7.0, 4.4, 6.0, 26.0))
+        rows.append(((x - side * 0.85, 0.1, z), (side * 0.10, 1.0, 0.0), 0.10, AMBER, 5.0, 3.4, 8.0, 34.0))
+        rows.append(((x - side * 0.70, 4.2, z), (side * 0.02, -1.0, 0.0), 0.12, GOLD, 4.0, 4.4, 6.0, 26.0))
         rows.append(
             (
                 (x - side * 0.75, 7.3, z),
@@ -157,6 +157,19 @@ def _add_stone(scene: Scene, rng: np.random.Generator) -> None:
             scene.add(mesh, transform=translation(x, y, z, turn=turn), material=stone, label=2)
 
 
+def _add_window(scene: Scene) -> None:
+    """Set the rose window into the wall above the apse."""
+    place = translation(0.0, 9.05, hall.END + 0.27)
+    tracery, panes = hall.rose_window()
+    lead = Material(base_color=(0.30, 0.27, 0.23, 1.0), roughness=0.7, name="tracery")
+    scene.add(tracery.mesh("tracery"), transform=place, material=lead, label=2)
+    for shape, color, power in zip(panes, (ROSE, TEAL, GOLD, AMBER), (0.75, 0.6, 0.9, 1.1), strict=True):
+        glass = Material(
+            base_color=(0.02, 0.02, 0.02, 1.0), emissive=tuple(power * c for c in color), roughness=0.3, name="glass"
+        )
+        scene.add(shape.mesh("panes"), transform=place, material=glass, label=8)
+
+
 def _add_furnishings(scene: Scene) -> tuple[list[Instance], list[Instance]]:
     bronze = Material(base_color=(0.36, 0.24, 0.13, 1.0), metallic=1.0, roughness=0.38, name="bronze")
     gold = Material(base_color=(1.0, 0.76, 0.36, 1.0), metallic=0.6, roughness=0.36, name="gold")
@@ -219,6 +232,7 @@ def build(*, seed: int = 7, brightness: float = 1.0) -> Scene:
         Camera.look_at((0.70, 1.65, 2.9), (-0.20, 3.10, -14.0), vertical_fov_deg=52.0, exposure=0.5, name="nave")
     )
     _add_stone(scene, rng)
+    _add_window(scene)
     rings, lanterns = _add_furnishings(scene)
     points, spots = _add_lights(scene, rng)
     for group in (scene.lights.point, scene.lights.spot):
