@@ -48,7 +48,7 @@ def urn() -> Shape:
         (0, 0.98),
     ]
     handle = _tilted(torus(0.13, 0.022, 32, 10), np.pi / 2, 0.0)
-    return join(lathe(foot + body + neck, 64), handle.at(0.27, 0.86, 0.0), handle.at(-0.27, 0.86, 0.0))
+    return join(lathe(foot + body + neck, 48), handle.at(0.27, 0.86, 0.0), handle.at(-0.27, 0.86, 0.0))
 
 
 def pedestal(height: float, width: float) -> Shape:

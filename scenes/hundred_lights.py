@@ -58,11 +58,11 @@ def _point_rows(rng: np.random.Generator) -> dict[str, np.ndarray]:
     z = hall.bay_centres()
     for depth in z:
         for side in (-1.0, 1.0):
-            rows.append(((side * hall.NAVE, 4.05, depth), (0.10, 0.0, 0.14), AMBER, 7.0, 5.2, 0.085))
+            rows.append(((side * hall.NAVE, 4.05, depth), (0.10, 0.0, 0.14), AMBER, 7.0, 5.8, 0.085))
     for k, depth in enumerate(z):
         for side in (-1.0, 1.0):
             color = ROSE if (k, side) in ((1, -1.0), (3, 1.0), (5, -1.0)) else (TEAL, BLUE)[(k + int(side > 0)) % 2]
-            rows.append(((side * 5.5, 2.4, depth), (0.35, 0.7, 0.9), color, 4.5, 5.0, 0.04))
+            rows.append(((side * 5.5, 2.4, depth), (0.35, 0.7, 0.9), color, 4.5, 5.4, 0.04))
     for k in range(12):
         depth = np.interp(k, [0, 11], [hall.FRONT - 2.0, hall.BACK])
         rows.append(((rng.uniform(-1.2, 1.2), 8.6, depth), (1.1, 0.5, 1.6), BLUE if k % 3 else TEAL, 5.0, 5.5, 0.04))
@@ -70,12 +70,12 @@ def _point_rows(rng: np.random.Generator) -> dict[str, np.ndarray]:
         turn = 2.0 * np.pi * k / 12
         around = HEART + np.array([2.1 * math.cos(turn), rng.uniform(-1.2, 1.3), 0.9 * math.sin(turn)])
         rows.append((around, (0.5, 0.4, 0.3), (GOLD, AMBER, GOLD, ROSE)[k % 4], 1.2, 2.4, 0.04))
-    rows[-1] = (HEART, (0.02, 0.04, 0.02), GOLD, 6.0, 3.4, 0.36)
+    rows[-1] = (HEART, (0.02, 0.04, 0.02), (1.0, 0.60, 0.22), 6.0, 3.4, 0.36)
     colors = [AMBER] * 9 + [GOLD] * 5 + [EMBER] * 3 + [TEAL] * 2 + [ROSE]
     for k in range(44):
         depth = np.interp(k + rng.uniform(-0.4, 0.4), [0, 43], [hall.FRONT - 5.5, hall.BACK + 1.0])
         place = (rng.uniform(-2.3, 2.3), rng.uniform(0.5, 3.0), depth)
-        rows.append((place, (0.9, 0.4, 1.2), colors[rng.integers(len(colors))], rng.uniform(0.8, 1.6), 3.8, 0.026))
+        rows.append((place, (0.9, 0.4, 1.2), colors[rng.integers(len(colors))], rng.uniform(0.8, 1.6), 4.4, 0.026))
     names = ("centre", "amplitude", "color", "intensity", "range", "size")
     return {name: np.array([row[k] for row in rows], float) for k, name in enumerate(names)}
 
@@ -203,14 +203,16 @@ def _add_furnishings(scene: Scene) -> tuple[list[Instance], list[Instance]]:
 
 def _add_glow(scene: Scene, points: dict[str, np.ndarray]) -> list[Instance]:
     """One glowing ball a point light; few meshes and materials, shared by size and colour."""
-    meshes = {size: sphere(size, 24, 12).mesh("glow") for size in np.unique(points["size"])}
+    meshes = {
+        size: sphere(size, *((32, 16) if size > 0.06 else (12, 6))).mesh("glow") for size in np.unique(points["size"])
+    }
     materials: dict[tuple, Material] = {}
     glow = []
     for color, size in zip(points["color"], points["size"], strict=True):
         key = tuple(color)
         if key not in materials:
             black = (0.0, 0.0, 0.0, 1.0)
-            emitted = tuple(float(2.6 * c) for c in key)
+            emitted = tuple(float(1.6 * c) for c in key)
             materials[key] = Material(base_color=black, emissive=emitted, roughness=1.0, name="glow")
         glow.append(scene.add(meshes[size], material=materials[key], label=7))
     return glow
