@@ -37,16 +37,23 @@ def _ratios(points: np.ndarray, normals: np.ndarray, lights: np.ndarray, limit: 
     """Distances below `limit` from points to lights in front of them, and the index of each one's point."""
     found, rows = [], []
     step = max(1, _CHUNK // max(len(lights), 1))
-    height = np.einsum("ij,ij->i", points, normals)
-    square = np.einsum("ij,ij->i", lights, lights)
+    middle = lights.mean(axis=0)
+    p32, l32 = (points - middle).astype(np.float32), (lights - middle).astype(np.float32)
+    square = np.einsum("ij,ij->i", l32, l32)
+    own = np.einsum("ij,ij->i", p32, p32)
+    # |l - p|² by its three terms is one matrix product; it rounds, so a little too much is kept, then measured exactly.
+    most = 1.01 * limit * limit + 1e-5 * float(own.max() + square.max())
     for start in range(0, len(points), step):
-        p, n = points[start : start + step], normals[start : start + step]
-        # |l - p|² by its three terms: one matrix product instead of a (points, lights, 3) array.
-        d2 = np.einsum("ij,ij->i", p, p)[:, None] + square[None] - 2.0 * (p @ lights.T)
-        row, column = np.nonzero(d2 < limit * limit)
-        front = np.einsum("ij,ij->i", lights[column], n[row]) > height[start + row]
-        found.append(np.sqrt(np.maximum(d2[row[front], column[front]], 0.0)))
-        rows.append(start + row[front])
+        chunk = slice(start, start + step)
+        product = p32[chunk] @ l32.T
+        product *= -2.0
+        product += square
+        row, column = np.divmod(np.flatnonzero(product < (most - own[chunk])[:, None]), len(lights))
+        to_light = lights[column] - points[start + row]
+        distance = np.sqrt(np.einsum("ij,ij->i", to_light, to_light))
+        lit = (np.einsum("ij,ij->i", to_light, normals[start + row]) > 0.0) & (distance < limit)
+        found.append(distance[lit])
+        rows.append(start + row[lit])
     return np.concatenate(found), np.concatenate(rows)
 
 
