@@ -28,7 +28,9 @@ PERIOD = 24.0
 """Time after which everything is back where it was [s]."""
 AMBER, GOLD, EMBER = (1.0, 0.52, 0.17), (1.0, 0.72, 0.36), (1.0, 0.33, 0.08)
 TEAL, BLUE, ROSE = (0.08, 0.62, 0.68), (0.16, 0.34, 1.0), (0.95, 0.18, 0.36)
-HEART = np.array([0.0, 3.05, hall.END + 0.6])
+_FIRST = 9.0
+"""Moment of the cycle that time 0 shows [s]: rings turned half open, light well spread over the floor."""
+HEART = np.array([0.0, 3.3, hall.END + 0.6])
 """Middle of the armillary sphere."""
 
 
@@ -110,8 +112,8 @@ def _spot_rows() -> dict[str, np.ndarray]:
         turn = np.pi * (k + 0.5) / 12
         out = np.array([math.cos(turn), 0.0, -math.sin(turn)])
         if k % 2:
-            place = HEART + out * 2.1 + np.array([0.0, 3.6, 1.2])
-            rows.append((place, HEART - place, 0.06, GOLD, 30.0, 8.0, 6.0, 16.0))
+            place = HEART + np.array([2.4 * out[0], 3.4, 3.0])
+            rows.append((place, HEART - place, 0.06, GOLD, 34.0, 7.5, 8.0, 19.0))
         else:
             place = np.array([0.0, 0.15, hall.END]) + out * (hall.APSE_RADIUS - 0.45)
             rows.append(
@@ -186,7 +188,7 @@ def _add_furnishings(scene: Scene) -> tuple[list[Instance], list[Instance]]:
                 material=bronze if (k + int(side > 0)) % 2 else glaze,
                 label=4,
             )
-    *rings, stand = furnishings.armillary_rings(1.5)
+    *rings, stand = furnishings.armillary_rings(1.7)
     turning = [scene.add(s.mesh("rings"), transform=translation(*HEART), material=gold, label=5) for s in rings]
     scene.add(stand.mesh("stand"), transform=translation(*HEART), material=bronze, label=5)
     top = float(stand.positions[:, 1].min() + HEART[1])
@@ -270,7 +272,8 @@ def animate(scene: Scene, time: float) -> None:
     motion = _motions.get(scene)
     if motion is None:
         raise input_error("hundred_lights.animate.scene", "a scene made by hundred_lights.build", repr(scene))
-    time = check_range("hundred_lights.animate.time", time, -math.inf if time < 0 else 0.0, unit="s")
+    time = check_range("hundred_lights.animate.time", time, -1e9, 1e9, unit="s")
+    time += _FIRST
     wave = np.sin(motion.rate * time + motion.phase)
     position = motion.centre + motion.amplitude * wave
     scene.lights.point.position = position
