@@ -100,7 +100,7 @@ def make_bin_kernels(depth_views: bool, behind: bool):
                         draw_direct(view, target, t, low, high)
             k += lanes
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
     def bin_triangles_kernel(
         # Frame
         views: wp.array[View],
@@ -122,7 +122,7 @@ def make_bin_kernels(depth_views: bool, behind: bool):
             bin_triangle(views[t.view], t, index, lane, lanes, filling, out_bins, target)
             index += stride
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
     def draw_bins_kernel(
         # Frame
         views: wp.array[View],

@@ -27,7 +27,7 @@ def make_display_kernel(curve: str, half: bool):
     """
     tone = tone_curve(curve)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
     def display_kernel(
         # Frame
         views: wp.array[View],

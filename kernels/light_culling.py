@@ -226,7 +226,7 @@ def make_light_culling_kernels(depth_bounds: bool):
             return bounds
         return wp.vec2(0.0, 1.0e30)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
     def coarse_masks_kernel(
         # Frame
         views: wp.array[View],
@@ -255,7 +255,7 @@ def make_light_culling_kernels(depth_bounds: bool):
             bit = wp.uint32(1) << wp.uint32(i & 31)
             wp.atomic_or(out_masks.coarse, t * out_masks.words_per_tile + (i >> 5), bit)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
     def tile_masks_kernel(
         # Frame
         views: wp.array[View],

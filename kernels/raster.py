@@ -442,7 +442,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
         if t.id != ALL_BITS:
             emit(view, target, t)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
     def raster_kernel(
         # Frame
         views: wp.array[View],

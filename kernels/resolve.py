@@ -143,7 +143,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         if wp.static("triangle_id" in layers):
             out.triangle_id[i] = -1
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
     def resolve_kernel(
         # Frame
         views: wp.array[View],
