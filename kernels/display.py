@@ -8,7 +8,7 @@ import warp as wp
 
 from .color import CURVES, clamp_radiance, srgb_code, tone_curve
 from .projection import pixel_in_block, pixel_index
-from .structs import PIXEL_BLOCK_AREA, View
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -27,7 +27,7 @@ def make_display_kernel(curve: str, half: bool):
     """
     tone = tone_curve(curve)
 
-    @wp.kernel(module="unique", module_options={"enable_backward": False, "fuse_fp": False})
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def display_kernel(
         # Frame
         views: wp.array[View],
@@ -36,7 +36,6 @@ def make_display_kernel(curve: str, half: bool):
         radiance: wp.array[wp.vec4h],
         color: wp.array[wp.vec3],
         thresholds: wp.array[wp.float32],
-        guesses: wp.array[wp.uint8],
         # Params
         first: wp.int32,
         # Out
@@ -57,9 +56,9 @@ def make_display_kernel(curve: str, half: bool):
         else:
             value = color[i]
         mapped = tone(clamp_radiance(value * view.exposure))
-        r = srgb_code(mapped[0], thresholds, guesses)
-        g = srgb_code(mapped[1], thresholds, guesses)
-        b = srgb_code(mapped[2], thresholds, guesses)
+        r = srgb_code(mapped[0], thresholds)
+        g = srgb_code(mapped[1], thresholds)
+        b = srgb_code(mapped[2], thresholds)
         out_display[i] = wp.vec4ub(r, g, b, wp.uint8(255))
 
     return display_kernel

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -123,7 +126,8 @@ def choose_device(name: str | None) -> str:
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR  # Warp's banner and remarks would mix with ours
-    wp.init()
+    with _silent_stderr():
+        wp.init()
     known = [str(device) for device in wp.get_devices()]
     if name is None:
         return "cuda:0" if "cuda:0" in known else "cpu"
@@ -133,6 +137,25 @@ def choose_device(name: str | None) -> str:
             f"--device: expected one of {', '.join(known)}, got {name!r}; leave it out to take the fastest there is"
         )
     return wanted
+
+
+@contextlib.contextmanager
+def _silent_stderr() -> Iterator[None]:
+    """Drop what native code writes to stderr: without a driver Warp says so there, past its own log level."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # no stderr at all
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        sys.stderr.flush()
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(nowhere)
+        os.close(kept)
 
 
 def choose_camera(
