@@ -14,7 +14,7 @@ from warp_deferred.kernels.color import (
     curve_pbr_neutral,
     curve_reinhard,
     srgb_code,
-    srgb_tables,
+    srgb_thresholds,
 )
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -38,11 +38,10 @@ def tone_kernel(values: wp.array[wp.vec3], curve: wp.int32, out_values: wp.array
 def code_kernel(
     values: wp.array[wp.float32],
     thresholds: wp.array[wp.float32],
-    guesses: wp.array[wp.uint8],
     out_codes: wp.array[wp.uint8],
 ):
     i = wp.tid()
-    out_codes[i] = srgb_code(values[i], thresholds, guesses)
+    out_codes[i] = srgb_code(values[i], thresholds)
 
 
 def tone(values: np.ndarray, curve: str, device: str) -> np.ndarray:
@@ -54,10 +53,9 @@ def tone(values: np.ndarray, curve: str, device: str) -> np.ndarray:
 
 def codes(values: np.ndarray, device: str) -> np.ndarray:
     source = wp.array(np.asarray(values, np.float32), dtype=wp.float32, device=device)
-    thresholds, guesses = srgb_tables()
-    tables = [wp.array(thresholds, dtype=wp.float32, device=device), wp.array(guesses, dtype=wp.uint8, device=device)]
+    thresholds = wp.array(srgb_thresholds(), dtype=wp.float32, device=device)
     out = wp.zeros(len(source), dtype=wp.uint8, device=device)
-    wp.launch(code_kernel, len(source), [source, *tables], [out], device=device)
+    wp.launch(code_kernel, len(source), [source, thresholds], [out], device=device)
     return out.numpy()
 
 
@@ -105,12 +103,12 @@ def test_o3_pbr_neutral_keeps_base_colours(device):
 
 
 def test_o4_codes_are_rounded_exactly(device):
-    values = np.concatenate([np.linspace(0.0, 1.0, 400_001), 2.0 ** np.linspace(-40.0, 0.0, 50_000)])
+    values = np.concatenate([np.linspace(0.0, 1.0, 2_000_001), 2.0 ** np.linspace(-40.0, 0.0, 50_000)])
     values = values.astype(np.float32)
     exact = reference.srgb_encode(values) * 255.0
     got = codes(values, device).astype(float)
     assert np.abs(got - exact).max() <= 0.5 + 1e-4
-    assert (np.diff(got[:400_001]) >= 0).all() and set(got) == set(range(256))
+    assert (np.diff(got[:2_000_001]) >= 0).all() and set(got) == set(range(256))
 
 
 def test_o4_codes_change_at_the_rounding_points(device):
@@ -118,6 +116,11 @@ def test_o4_codes_change_at_the_rounding_points(device):
     middle = reference.srgb_decode((np.arange(255) + 0.5) / 255.0).astype(np.float32)
     assert np.array_equal(codes(np.nextafter(middle, np.float32(0.0)), device), np.arange(255))
     assert np.array_equal(codes(np.nextafter(middle, np.float32(1.0)), device), np.arange(1, 256))
+    # Every float around each rounding point: the code steps once.
+    bits = middle.view(np.int32)[:, None] + np.arange(-300, 301)
+    around = codes(bits.astype(np.int32).view(np.float32).reshape(-1), device).reshape(bits.shape).astype(int)
+    assert (np.diff(around, axis=1) >= 0).all()
+    assert np.array_equal(around[:, 0], np.arange(255)) and np.array_equal(around[:, -1], np.arange(1, 256))
 
 
 def test_o4_bad_values_have_a_code(device):
