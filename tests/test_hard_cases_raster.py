@@ -259,6 +259,19 @@ def test_e5_sizes_are_checked(width, height):
         wd.Renderer(wd.Scene(), width=width, height=height)
 
 
+@pytest.mark.parametrize("meshes", [0, 1])
+def test_l1_an_empty_scene_is_background(meshes, device):
+    scene = scene_of(*[wd.Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))] * meshes)
+    scene.environment = wd.Environment(background=(0.25, 0.5, 1.0), ambient=(1.0, 1.0, 1.0))
+    image = render(scene, wd.Camera(), 33, 17, device=device)
+    assert (image["instance_id"] == -1).all() and (image["triangle_id"] == -1).all()
+    assert np.isposinf(image["depth"]).all() and not image["normal"].any()
+    scene.lights.add(wd.PointLight(), wd.DirectionalLight())
+    color = render(scene, wd.Camera(), 33, 17, outputs=("color", "display"), device=device)
+    assert (color["color"] == np.array([0.25, 0.5, 1.0], np.float32)).all()
+    assert (color["display"] == color["display"][0, 0]).all()
+
+
 def test_l7_degenerate_faces_do_not_show(device, rng):
     good = snapped(rng.uniform(0.0, SIZE, (20, 3, 2))) / 256.0
     depth = rng.uniform(1.0, 15.0, (20, 3))

@@ -7,16 +7,15 @@ import pytest
 import reference
 import warp as wp
 from warp_deferred.kernels.clusters import choose_anchor
+from warp_deferred.kernels.coverage import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, snap
 from warp_deferred.kernels.interpolation import Barycentric, barycentric, mix2, mix3, mix4
+from warp_deferred.kernels.intrinsics import bits_float, float_bits
 from warp_deferred.kernels.projection import (
-    bits_float,
-    float_bits,
     linear_depth,
     relative_position,
     vertex_depth,
     view_direction,
 )
-from warp_deferred.kernels.raster import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, snap
 from warp_deferred.kernels.structs import Instance, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
