@@ -41,7 +41,7 @@ def code_kernel(
     out_codes: wp.array[wp.uint8],
 ):
     i = wp.tid()
-    out_codes[i] = srgb_code(values[i], thresholds)
+    out_codes[i] = wp.uint8(srgb_code(values[i], thresholds))
 
 
 def tone(values: np.ndarray, curve: str, device: str) -> np.ndarray:
