@@ -156,13 +156,13 @@ class Program:
         """Compile and load every kernel the program launches, so that capturing and replaying never do."""
         pending: dict[tuple[str, int], Any] = {}
         for kernel, block_dim in self.kernels:
-            pending[(kernel.module.name, 1 if self.device.is_cpu else block_dim)] = (kernel, block_dim)
-        for done, ((name, _), (kernel, block_dim)) in enumerate(pending.items()):
+            # The CPU backend runs blocks of one lane: any other width would be a second build that nothing launches.
+            width = 1 if self.device.is_cpu else block_dim
+            pending[(kernel.module.name, width)] = kernel
+        for done, ((_, width), kernel) in enumerate(pending.items()):
             if progress:
                 progress(kernel.key.removesuffix("_kernel"), done, len(pending))
-            kernel.module.load(self.device, block_dim=block_dim) if self.device.is_cuda else kernel.module.load(
-                self.device
-            )
+            kernel.module.load(self.device, block_dim=width)
         if progress:
             progress("", len(pending), len(pending))
 
