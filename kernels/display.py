@@ -8,7 +8,7 @@ import warp as wp
 
 from .color import CURVES, clamp_radiance, srgb_code, tone_curve
 from .projection import pixel_in_block, pixel_index
-from .structs import PIXEL_BLOCK_AREA, View
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -27,7 +27,7 @@ def make_display_kernel(curve: str, half: bool):
     """
     tone = tone_curve(curve)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def display_kernel(
         # Frame
         views: wp.array[View],

@@ -13,17 +13,18 @@ import functools
 
 import warp as wp
 
+from .projection import pixel_index
 from .structs import (
     ALL_BITS,
     LIGHT_DIRECTIONAL,
     LIGHT_SPOT,
+    MODULE_OPTIONS,
     ORTHOGRAPHIC,
     FrameValues,
     LightMasks,
     Lights,
     View,
 )
-from .projection import pixel_index
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -226,7 +227,7 @@ def make_light_culling_kernels(depth_bounds: bool):
             return bounds
         return wp.vec2(0.0, 1.0e30)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def coarse_masks_kernel(
         # Frame
         views: wp.array[View],
@@ -255,7 +256,7 @@ def make_light_culling_kernels(depth_bounds: bool):
             bit = wp.uint32(1) << wp.uint32(i & 31)
             wp.atomic_or(out_masks.coarse, t * out_masks.words_per_tile + (i >> 5), bit)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def tile_masks_kernel(
         # Frame
         views: wp.array[View],

@@ -28,6 +28,7 @@ from .structs import (
     FLAG_MASKED,
     FLAG_TWO_SIDED,
     GUARD_BAND_PX,
+    MODULE_OPTIONS,
     ORTHOGRAPHIC,
     PERSPECTIVE,
     SUBPIXEL,
@@ -442,7 +443,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
         if t.id != ALL_BITS:
             emit(view, target, t)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def raster_kernel(
         # Frame
         views: wp.array[View],

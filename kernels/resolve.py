@@ -10,18 +10,19 @@ import functools
 
 import warp as wp
 
+from .clusters import pair_of_instance
 from .encoding import FLAG_EMISSIVE, Surface, make_gbuffer_codec
 from .interpolation import Barycentric, barycentric, mix2, mix3, mix4, relative_vertex
-from .clusters import pair_of_instance
 from .projection import bits_float, linear_depth, pixel_in_block, pixel_index, relative_position
 from .structs import (
     ALL_BITS,
     CLUSTER_SIZE,
     FLAG_COLORS,
     FLAG_SMOOTH,
+    MODULE_OPTIONS,
     PIXEL_BLOCK_AREA,
-    Geometry,
     GBuffer,
+    Geometry,
     Layers,
     Material,
     Pair,
@@ -143,7 +144,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         if wp.static("triangle_id" in layers):
             out.triangle_id[i] = -1
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def resolve_kernel(
         # Frame
         views: wp.array[View],

@@ -15,7 +15,7 @@ from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
 from .light_culling import lowest_bit
 from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
-from .structs import PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -95,7 +95,7 @@ def make_shade_kernel(
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def shade_kernel(
         # Frame
         views: wp.array[View],

@@ -13,6 +13,10 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+#: Options of every specialised kernel's own module, which does not take its file's: without fused multiply-adds CPU and
+#: CUDA agree to the bit.
+MODULE_OPTIONS = {"enable_backward": False, "fuse_fp": False}
+
 #: Side of the square of pixels that 64 consecutive threads of a pixel pass cover.
 PIXEL_BLOCK = wp.constant(8)
 PIXEL_BLOCK_AREA = wp.constant(64)

@@ -317,6 +317,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     try:
         result = app(args=None if argv is None else list(argv), prog_name="warp-deferred", standalone_mode=False)
+        if result == 130:  # typer turns Ctrl-C into this by itself
+            raise KeyboardInterrupt
         return result if isinstance(result, int) else 0
     except Error as error:
         return _fail(str(error))

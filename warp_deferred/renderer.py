@@ -94,6 +94,7 @@ class Renderer:
         self._requests: dict[Any, Request] = {}
         self._generation = 0
         self._plan: Plan | None = None
+        self._fast: tuple[Any, ...] | None = None
 
     @property
     def settings(self) -> Settings:
@@ -127,9 +128,9 @@ class Renderer:
         cameras = self._cameras(camera)
         plan = self._look_up(cameras, None)
         resources = plan.resources
-        self._update(cameras)
+        self._update()
         block = resources.frame.begin()
-        plan.packer.write(block, cameras, self._ranges(cameras))
+        plan.packer.write(block, cameras, self._fast[4])
         environment = self.scene.environment
         VALUES.pack_into(
             block,
@@ -171,14 +172,19 @@ class Renderer:
     def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
         scene = self.scene
         seen = (scene.structure_revision, scene.lights.structure_revision)
+        worlds = tuple([c.world for c in cameras])
+        # The common case, a frame like the last one, must not hash settings or requests.
+        settings = self._settings or scene.settings
+        fast = self._fast
+        if fast is not None and fast[0] == seen and fast[1] == worlds and fast[2] is settings:
+            return fast[3]
         if self._device_scene is None or self._seen[:1] != seen[:1]:
             self._load_scene()
         if self._seen != seen:
             self._features = Features.of(scene)
             self._seen = seen
             self._requests.clear()
-        worlds = tuple(c.world for c in cameras) if len(cameras) > 1 or cameras[0].world >= 0 else len(cameras)
-        key = (worlds, self.settings)
+        key = (worlds, settings)
         request = self._requests.get(key)
         if request is None:
             request = self._requests[key] = self._request(cameras)
@@ -188,11 +194,13 @@ class Renderer:
         if plan is not self._plan:
             self._plans[request] = self._plans.pop(request)
             self._plan = plan
+        self._fast = (seen, worlds, settings, plan, self._ranges(cameras))
         return plan
 
     def _load_scene(self) -> None:
         self._plans.clear()
         self._plan = None
+        self._fast = None
         self._lights.clear()
         self._device_scene = DeviceScene(self.scene, self.device)
         self._revision = self.scene.revision
@@ -225,7 +233,7 @@ class Renderer:
         self._plans[request] = Plan(request, self._device_scene, self._lights[key], progress)
         return self._plans[request]
 
-    def _update(self, cameras: list[Camera]) -> None:
+    def _update(self) -> None:
         scene, device_scene = self.scene, self._device_scene
         if self._revision != scene.revision:
             device_scene.update_transforms(scene)
