@@ -128,12 +128,13 @@ def gallery(*, lights: bool = True) -> wd.Scene:
     ball = sphere(8, 0.6)
     scene.add(ball, transform=tilt(20.0, 30.0, 1.0, (-1.2, 0.6, 0.2)), material=metal, label=2)
     # Mirrored and stretched: facing and normals must follow.
-    scene.add(ball, transform=tilt(0.0, 40.0, (-1.0, 1.6, 0.7), (0.4, 0.9, -0.9)),
-              material=wd.Material(model="phong", base_color=(0.2, 0.5, 0.9, 1.0), specular=(0.2, 0.2, 0.1), shininess=24.0))  # fmt: skip
-    scene.add(sphere(6, 0.45, colored=True), transform=tilt(0.0, 0.0, 1.0, (1.5, 0.45, 0.6)),
-              material=wd.Material(model="blinn_phong", specular=(0.3, 0.3, 0.3), shininess=60.0), label=4)  # fmt: skip
-    scene.add(box(0.5), transform=tilt(0.0, 25.0, (1.0, 0.6, 1.0), (0.2, 0.15, 1.1)),
-              material=wd.Material(model="ggx", base_color=(0.7, 0.2, 0.2, 1.0), roughness=0.3, emissive=(0.05, 0.0, 0.0)))  # fmt: skip
+    shiny = wd.Material(model="phong", base_color=(0.2, 0.5, 0.9, 1.0), specular=(0.2, 0.2, 0.1), shininess=24.0)
+    scene.add(ball, transform=tilt(0.0, 40.0, (-1.0, 1.6, 0.7), (0.4, 0.9, -0.9)), material=shiny)
+    glossy = wd.Material(model="blinn_phong", specular=(0.3, 0.3, 0.3), shininess=60.0)
+    colored = sphere(6, 0.45, colored=True)
+    scene.add(colored, transform=tilt(0.0, 0.0, 1.0, (1.5, 0.45, 0.6)), material=glossy, label=4)
+    glowing = wd.Material(model="ggx", base_color=(0.7, 0.2, 0.2, 1.0), roughness=0.3, emissive=(0.05, 0.0, 0.0))
+    scene.add(box(0.5), transform=tilt(0.0, 25.0, (1.0, 0.6, 1.0), (0.2, 0.15, 1.1)), material=glowing)
     leaf = wd.Material(model="lambert", base_color_texture=_leaf(), alpha_mode="mask", two_sided=True)
     scene.add(grid(1, 1.0), transform=tilt(0.0, 200.0, 1.0, (2.0, 1.2, -0.6)), material=leaf, label=5)
     scene.add(grid(2, 1.1), transform=tilt(10.0, 20.0, 1.0, (-2.2, 1.0, -1.0)), material=leaf, label=5)
@@ -174,11 +175,9 @@ def assert_same(one: dict[str, np.ndarray], two: dict[str, np.ndarray], names: A
         a, b = one[name], two[name]
         assert a.shape == b.shape and a.dtype == b.dtype, name
         if not np.array_equal(bits(a), bits(b)):
-            different = a != b
-            where = np.argwhere(different.reshape(*a.shape[:2], -1).any(axis=2))
-            raise AssertionError(
-                f"{name}: {len(where)} of {a.shape[0] * a.shape[1]} pixels differ, first at (y, x) = {where[:1].tolist()}"
-            )
+            where = np.argwhere((a != b).reshape(*a.shape[:2], -1).any(axis=2))
+            count = a.shape[0] * a.shape[1]
+            raise AssertionError(f"{name}: {len(where)} of {count} pixels differ, first at (y, x) = {where[:1]}")
 
 
 def unsure(reference: dict[str, np.ndarray]) -> np.ndarray:
