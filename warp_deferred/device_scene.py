@@ -238,7 +238,7 @@ class DeviceScene:
             row["linear"] = matrix[:3, :3]
             origin = instances[k].mesh.origin
             row["origin"] = matrix[:3, :3] @ origin + matrix[:3, 3] if origin.any() else matrix[:3, 3]
-        self.geometry.transforms.assign(wp.array(table, dtype=structs.Transform, device="cpu"))
+        self.geometry.transforms.assign(wp.array(table, dtype=structs.Transform, device="cpu", copy=False))
 
     def stage_transforms(self, bound: object) -> None:
         """Copy bound device transforms into the staging, on the device."""

@@ -99,4 +99,4 @@ class LightStore:
                 host["angles"][rows] = np.stack([group.inner_angle, group.outer_angle], axis=1)
             start += len(group)
         for name, array in self._arrays.items():
-            array.assign(wp.array(host[name], dtype=array.dtype, device="cpu"))
+            array.assign(wp.array(host[name], dtype=array.dtype, device="cpu", copy=False))

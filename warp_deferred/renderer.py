@@ -171,7 +171,7 @@ class Renderer:
 
     def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
         scene = self.scene
-        seen = (scene.structure_revision, scene.lights.structure_revision)
+        seen = (scene.structure_revision, scene.lights.structure_revision, scene.look_revision)
         worlds = tuple([c.world for c in cameras])
         # The common case, a frame like the last one, must not hash settings or requests.
         settings = self._settings or scene.settings
@@ -235,11 +235,13 @@ class Renderer:
 
     def _update(self) -> None:
         scene, device_scene = self.scene, self._device_scene
-        if self._revision != scene.revision:
-            device_scene.update_transforms(scene)
-            self._revision = scene.revision
         if scene.transforms is not None:
             device_scene.stage_transforms(scene.transforms)
+            # The staging overwrites the host's transforms: they are uploaded again once the array is unbound.
+            self._revision = -1
+        elif self._revision != scene.revision:
+            device_scene.update_transforms(scene)
+            self._revision = scene.revision
         if len(scene.lights):
             self._plan.resources.lights.update(scene.lights)
 
