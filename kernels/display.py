@@ -36,7 +36,6 @@ def make_display_kernel(curve: str, half: bool):
         radiance: wp.array[wp.vec4h],
         color: wp.array[wp.vec3],
         thresholds: wp.array[wp.float32],
-        guesses: wp.array[wp.uint8],
         # Params
         first: wp.int32,
         # Out
@@ -57,9 +56,9 @@ def make_display_kernel(curve: str, half: bool):
         else:
             value = color[i]
         mapped = tone(clamp_radiance(value * view.exposure))
-        r = srgb_code(mapped[0], thresholds, guesses)
-        g = srgb_code(mapped[1], thresholds, guesses)
-        b = srgb_code(mapped[2], thresholds, guesses)
+        r = srgb_code(mapped[0], thresholds)
+        g = srgb_code(mapped[1], thresholds)
+        b = srgb_code(mapped[2], thresholds)
         out_display[i] = wp.vec4ub(r, g, b, wp.uint8(255))
 
     return display_kernel
