@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 
 import warp_deferred as wd
+from warp_deferred.plan import Plan
 
 __all__ = [
     "LAYERS",
@@ -220,3 +222,44 @@ def assert_matches(
         assert error.max(initial=0.0) <= worst, f"{name}: error {error.max():.3g} > {worst:.3g}"
         over = float((error > usual).mean())
         assert over <= share, f"{name}: {over:.5f} of the pixels exceed {usual:.3g}, more than {share:.5f}"
+
+
+class Spy:
+    """Counts, while entered, what a frame must not do: modules loaded, kernels made, memory allocated, plans built."""
+
+    def __init__(self) -> None:
+        self.loaded: list[str] = []
+        self.kernels: list[str] = []
+        self.allocated: list[tuple[str, int]] = []
+        self.plans = 0
+
+    def __enter__(self) -> Spy:
+        from warp._src import context
+
+        self._patch = pytest.MonkeyPatch()
+        self._wrap(context.ModuleExec, "__init__", lambda s, handle, *a, **k: self.loaded.append(str(a[1:3])))
+        self._wrap(
+            context.Kernel, "__init__", lambda s, func, *a, **k: self.kernels.append(getattr(func, "__name__", "?"))
+        )
+        for name, kind in vars(context).items():
+            if name.endswith("Allocator") and isinstance(kind, type) and name != "Allocator":
+                self._wrap(kind, "allocate", lambda s, size: self.allocated.append((type(s).__name__, size)))
+        self._wrap(Plan, "__init__", lambda *a, **k: setattr(self, "plans", self.plans + 1))
+        return self
+
+    def _wrap(self, owner: type, name: str, note: Any) -> None:
+        inner = getattr(owner, name)
+
+        def outer(*args: Any, **fields: Any) -> Any:
+            note(*args, **fields)
+            return inner(*args, **fields)
+
+        self._patch.setattr(owner, name, outer)
+
+    def __exit__(self, *error: object) -> None:
+        self._patch.undo()
+
+    def assert_nothing(self) -> None:
+        """Fail if anything was counted."""
+        seen = {"modules": self.loaded, "kernels": self.kernels, "allocations": self.allocated, "plans": self.plans}
+        assert not any(seen.values()), seen
