@@ -158,7 +158,8 @@ class Plan:
         if len({(s.width, s.height) for s in sizes}) != 1:
             return array
         shape = (len(sizes), sizes[0].height, sizes[0].width)
-        return wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device, copy=False)
+        # A reshaped array keeps its memory alive for as long as someone holds it, even when the plan is gone.
+        return array.reshape(shape)
 
     def replay(self) -> None:
         """Run the frame; the first call on CUDA captures it."""
