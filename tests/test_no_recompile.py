@@ -112,3 +112,12 @@ def test_light_outputs_alone_call_for_nothing_else(device):
     assert not any(n.startswith(("gbuffer", "mask", "emission")) for n in plan.memory)
     deep = images(renderer.render())["depth"]
     assert np.array_equal(deep, images(renderer_of(scene, device).render())["depth"])
+
+
+def test_an_output_outlives_its_renderer(device):
+    scene = gallery()
+    color = renderer_of(scene, device).render()["color"]
+    kept = color.numpy().copy()
+    # Memory that nobody holds would be handed out again here.
+    others = [wp.full(color.size, value=7.0, dtype=wp.vec3, device=device) for _ in range(4)]
+    assert np.array_equal(color.numpy(), kept) and len(others) == 4
