@@ -12,6 +12,7 @@ import weakref
 import numpy as np
 import warp as wp
 
+from .checks import input_error
 from .clustering import CLUSTER_SIZE, Clusters, cut_clusters, smooth_normals
 from .errors import CapacityError
 from .features import MODELS
@@ -242,7 +243,8 @@ class DeviceScene:
 
     def stage_transforms(self, bound: object) -> None:
         """Copy bound device transforms into the staging, on the device."""
-        array = as_float_array(bound, self.device)
+        count = self.instance_count
+        array = as_float_array("Scene.bind_transforms", bound, self.device, (count, 4, 4), (count, 7))
         kernel = cluster_kernels.stage_poses_kernel if array.ndim == 2 else cluster_kernels.stage_matrices_kernel
         wp.launch(
             kernel,
@@ -254,17 +256,35 @@ class DeviceScene:
         )
 
 
-def as_float_array(value: object, device: wp.Device) -> wp.array:
-    """See a Warp, torch or JAX array as a Warp array of plain float32 on the device, without a copy where it can be."""
+def as_float_array(name: str, value: object, device: wp.Device, *shapes: tuple[int, ...]) -> wp.array:
+    """See a Warp, torch or JAX array as a Warp array of plain float32 on the device, without a copy where it can be.
+
+    Args:
+        name: What the array is, for messages.
+        value: The array; vectors, matrices and transforms of Warp count as further axes.
+        device: Where it is needed.
+        *shapes: Shapes that will do.
+
+    Raises:
+        InputError: If it holds other numbers or has another shape.
+    """
     array = value if isinstance(value, wp.array) else wp.from_dlpack(value)
+    number = getattr(array.dtype, "_wp_scalar_type_", array.dtype)
+    if number is not wp.float32:
+        got = getattr(number, "__name__", str(number))
+        raise input_error(name, "float32 numbers", f"<{got} array>", "convert the array to float32")
+    lengths = tuple(getattr(array.dtype, "_shape_", ()))
+    shape = (*array.shape, *lengths)
+    if shape not in shapes:
+        raise input_error(name, "shape " + " or ".join(map(str, shapes)), f"<shape {shape}>")
     if array.device != device:
         array = array.to(device)
-    lengths = getattr(array.dtype, "_shape_", ())
     if not lengths:
         return array
-    shape = (*array.shape, *lengths)
-    return (
-        wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=device, copy=False)
-        if array.is_contiguous
-        else as_float_array(array.contiguous(), device)
+    inner = [4 * math.prod(lengths[k + 1 :]) for k in range(len(lengths))]
+    result = wp.array(
+        ptr=array.ptr, dtype=wp.float32, shape=shape, strides=(*array.strides, *inner), device=device, copy=False
     )
+    # A pointer keeps nothing alive: what `to` or DLPack made must outlast the launch that reads it.
+    result._ref = array
+    return result

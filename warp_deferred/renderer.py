@@ -149,9 +149,7 @@ class Renderer:
         return Frame(plan.outputs, cameras, lambda: self._generation == generation)
 
     def _stage_poses(self, poses: Any, count: int, resources: Any) -> None:
-        array = as_float_array(poses, self.device)
-        if tuple(array.shape) != (count, 4, 4):
-            raise input_error("render.poses", f"shape ({count}, 4, 4)", f"<shape {tuple(array.shape)}>")
+        array = as_float_array("render.poses", poses, self.device, (count, 4, 4))
         wp.launch(
             cluster_kernels.stage_cameras_kernel, dim=count, inputs=[array], outputs=[resources.frame.views], device=self.device,
             block_dim=cluster_kernels.BLOCK_DIM,
