@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import warp as wp
@@ -162,7 +162,8 @@ class Renderer:
                 raise input_error(
                     "render.camera", "a Camera", None, "the scene has none: pass one, or set scene.camera"
                 )
-        cameras = [camera] if isinstance(camera, Camera) else list(camera)
+        several = list(camera) if isinstance(camera, Iterable) else []
+        cameras = [camera] if isinstance(camera, Camera) else several
         if not cameras or not all(isinstance(c, Camera) for c in cameras):
             raise input_error("render.camera", "a Camera or a sequence of them", camera)
         return cameras
