@@ -13,8 +13,9 @@ import functools
 
 import warp as wp
 
-from .projection import float_bits, pixel_index
-from .raster import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, make_draw
+from .coverage import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, make_draw
+from .intrinsics import float_bits
+from .projection import pixel_index
 from .structs import ALL_BITS, BIN_TILE, BIN_TILE_AREA, MODULE_OPTIONS, LargeTriangle, RasterTarget, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

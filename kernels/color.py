@@ -113,4 +113,4 @@ def srgb_code(value: wp.float32, thresholds: wp.array[wp.float32]):
     elif rest > wp.static(1.0 - DOUBT):
         if v >= thresholds[code + 1]:
             code += 1
-    return wp.uint8(code)
+    return wp.uint32(code)

@@ -150,11 +150,11 @@ class Cluster:
 class Geometry:
     """All meshes of the scene, one after the other. Vertex indices are scene-wide."""
 
-    positions: wp.array[wp.vec3]
-    normals: wp.array[wp.vec3]
+    positions: wp.array[wp.vec4]  # fourth component unused: one load a vertex
+    normals: wp.array[wp.vec4]
     uvs: wp.array[wp.vec2]
     colors: wp.array[wp.vec4]
-    triangles: wp.array[wp.vec3i]  # mesh order
+    triangles: wp.array[wp.vec4i]  # mesh order: three vertices, fourth component unused
     cluster_triangles: wp.array[wp.vec4i]  # cluster order: three vertices and the mesh-local triangle id
     clusters: wp.array[Cluster]
     slots: wp.array[wp.vec2i]  # (instance, cluster), sorted by world

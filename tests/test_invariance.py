@@ -335,7 +335,8 @@ def test_half_radiance_stays_within_half_precision(device):
     compact = wd.Settings()
     lean = wd.Renderer(scene, width=size[0], height=size[1], device=device, outputs=("display",), settings=compact)
     picture = images(lean.render())["display"]
-    half = lean._plan.resources.channels["radiance"].numpy().reshape(size[1], size[0], 4)[..., :3].astype(float)
+    stored = lean._plan.resources.channels["radiance"].numpy().view(np.float16)
+    half = stored.reshape(size[1], size[0], 4)[..., :3].astype(float)
     wide = render(scene, size=size, outputs=("color", "display"), device=device, base=compact)
     color = wide["color"].astype(float)
     assert np.all(np.abs(half - color) <= 2.0**-11 * color + 2.0**-25)

@@ -47,6 +47,8 @@ class Renderer:
         outputs: Names of the outputs wanted, see `warp_deferred.channels.OUTPUTS`.
         settings: How accurately; the scene's own settings if left out.
         threads: Host threads on the CPU; the number of cores if left out.
+        share_memory: Let transient buffers share memory; False keeps each whole until the next frame, so that single
+            passes can be looked at and timed by themselves.
 
     Raises:
         InputError: If a size, an output or a setting does not fit.
@@ -63,6 +65,7 @@ class Renderer:
         outputs: Sequence[str] = ("display",),
         settings: Settings | None = None,
         threads: int | None = None,
+        share_memory: bool = True,
     ) -> None:
         if not isinstance(scene, Scene):
             raise input_error(
@@ -85,6 +88,7 @@ class Renderer:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         wanted = cores if threads is None else check_count("Renderer.threads", threads, 1, 256)
         self._threads = 0 if self.device.is_cuda else wanted
+        self._share_memory = bool(share_memory)
         self._plans: dict[Request, Plan] = {}
         self._device_scene: DeviceScene | None = None
         self._lights: dict[tuple[int, int], LightStore] = {}
@@ -151,9 +155,13 @@ class Renderer:
     def _stage_poses(self, poses: Any, count: int, resources: Any) -> None:
         array = as_float_array("render.poses", poses, self.device, (count, 4, 4))
         wp.launch(
-            cluster_kernels.stage_cameras_kernel, dim=count, inputs=[array], outputs=[resources.frame.views], device=self.device,
+            cluster_kernels.stage_cameras_kernel,
+            dim=count,
+            inputs=[array],
+            outputs=[resources.frame.views],
+            device=self.device,
             block_dim=cluster_kernels.BLOCK_DIM,
-        )  # fmt: skip
+        )
 
     def _cameras(self, camera: Camera | Sequence[Camera] | None) -> list[Camera]:
         if camera is None:
@@ -162,8 +170,9 @@ class Renderer:
                 raise input_error(
                     "render.camera", "a Camera", None, "the scene has none: pass one, or set scene.camera"
                 )
-        several = list(camera) if isinstance(camera, Iterable) else []
-        cameras = [camera] if isinstance(camera, Camera) else several
+        if isinstance(camera, Camera):
+            return [camera]
+        cameras = list(camera) if isinstance(camera, Iterable) else []
         if not cameras or not all(isinstance(c, Camera) for c in cameras):
             raise input_error("render.camera", "a Camera or a sequence of them", camera)
         return cameras
@@ -221,6 +230,7 @@ class Renderer:
             clusters_per_view=_capacity(slots, scene.cluster_slots),
             scene_key=self._scene_key,
             threads=self._threads,
+            share_memory=self._share_memory,
         )
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:

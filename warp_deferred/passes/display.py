@@ -39,7 +39,7 @@ class DisplayPass(Pass):
 
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
-        return {"display": Buffer(wp.vec4ub, max(self.layout.pixels, 1))}
+        return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernel, upload the thresholds."""
@@ -48,7 +48,7 @@ class DisplayPass(Pass):
 
     def run(self, resources: Resources) -> None:
         """One launch."""
-        radiance, color = resources.channel("radiance", wp.vec4h), resources.channel("color", wp.vec3)
+        radiance, color = resources.channel("radiance", wp.uint64), resources.channel("color", wp.vec3)
         inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, FIRST]
         resources.program.launch(
             self.kernel,
