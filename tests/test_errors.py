@@ -144,6 +144,7 @@ def test_more_lights_than_indices_are_refused(device, monkeypatch):
     renderer.render()
     with pytest.raises(wd.CapacityError, match="lights: expected lights x views of at most 63, got 32 x 2"):
         renderer.render([scene.camera] * 2)
+    assert np.isfinite(renderer.render().numpy("color")).all(), "the refusal should leave the renderer usable"
 
 
 @pytest.mark.parametrize(("name", "at"), [("MAX_BLOCKS", 3), ("MAX_ELEMENTS", 16)])

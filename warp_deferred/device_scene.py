@@ -181,7 +181,7 @@ class DeviceScene:
             row["mesh_origin"] = mesh.origin
             if len(mesh.positions):
                 row["bounds_low"], row["bounds_high"] = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
-            # In float64: two float32 corners may lie farther apart than float32 reaches. The grid stays a normal number.
+            # In float64: two float32 corners may lie farther apart than float32 reaches; the grid stays normal.
             extent = float(np.subtract(row["bounds_high"], row["bounds_low"], dtype=np.float64).max())
             row["anchor_grid"] = 2.0 ** max(math.floor(math.log2(extent)) - 6, -126) if extent > 0.0 else 1.0
             row["id_base"] = bases[k] * CLUSTER_SIZE
