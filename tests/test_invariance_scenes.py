@@ -56,7 +56,9 @@ def test_culled_clusters_leave_no_hole(cull, device):
     camera = wd.Camera.look_at((1.5, 0.9, 3.6), (-0.6, 0.3, 0.0), vertical_fov_deg=70.0)
     image = images(make(scene, device, size=(80, 60), settings=settings).render(camera))
     reference = render_reference(scene, camera, 80, 60, cull=cull, point_from="depth")
-    bounds = {"depth": (2e-6, 0.02, 2e-3), "normal": (1e-5, 0.0, 5e-5), "color": (3e-5, 0.005, 5e-3)}
+    # CUDA's hardware filter rounds its weights; see test_pipeline.
+    color = (3e-5, 0.005, 5e-3) if device == "cpu" else (4e-3, 0.01, 5e-2)
+    bounds = {"depth": (2e-6, 0.02, 2e-3), "normal": (1e-5, 0.0, 5e-5), "color": color}
     assert_matches(image, reference, bounds, unsure_share=0.003)
 
 

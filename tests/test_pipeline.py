@@ -41,6 +41,21 @@ COMPACT = BOUNDS | {
     "specular": (0.02, 0.02, 0.5),
     "light_count": (0.0, 0.005, 1.0),
 }
+#: CUDA's hardware filter rounds its weights to 1/256: up to some 1e-3 of the contrast between texels, and of what
+#: light makes of it. Where nothing is textured, test_invariance compares CUDA with the CPU closely.
+HARDWARE_FILTER = {
+    "albedo": (4e-3, 0.01, 2e-2),
+    "color": (4e-3, 0.01, 5e-2),
+    "diffuse": (4e-3, 0.01, 5e-2),
+    "specular": (4e-3, 0.01, 5e-2),
+}
+
+
+def bounds_on(device: str, bounds: dict) -> dict:
+    """Return the bounds that hold on a device for scenes with textures."""
+    if device == "cpu":
+        return bounds
+    return {n: tuple(map(max, b, HARDWARE_FILTER.get(n, (0.0,) * 3))) for n, b in bounds.items()}
 
 
 def orthographic() -> wd.Camera:
@@ -81,14 +96,14 @@ def test_pipeline_matches_the_reference(case, device):
     actual = images(renderer.render(camera))
     reference = render_reference(scene, camera, *SIZE, point_from="depth")
     assert len(np.unique(actual["instance_id"])) > 5, "the scene should show what it holds"
-    assert_matches(actual, reference, bounds)
+    assert_matches(actual, reference, bounds_on(device, bounds))
 
 
 def test_compact_gbuffer_matches_within_its_codecs(device):
     scene = gallery()
     renderer = wd.Renderer(scene, width=SIZE[0], height=SIZE[1], device=device, outputs=LAYERS)
     reference = render_reference(scene, None, *SIZE, point_from="depth")
-    assert_matches(images(renderer.render()), reference, COMPACT)
+    assert_matches(images(renderer.render()), reference, bounds_on(device, COMPACT))
 
 
 def test_plain_scene_matches_on_its_specialised_kernels(device):
