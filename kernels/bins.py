@@ -21,6 +21,8 @@ from .structs import ALL_BITS, BIN_TILE, BIN_TILE_AREA, LargeTriangle, RasterTar
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 256
+#: In place of q: every pixel of the tile is inside the edge.
+ACCEPTED = wp.constant(2147483647)
 #: (depth_views, behind): what CI compiles.
 VARIANTS = [(False, False), (True, False), (False, True), (True, True)]
 
@@ -32,7 +34,7 @@ class Bins:
     counts: wp.array[wp.int32]  # entries found a tile; after the scan, the fill's cursors start from offsets
     offsets: wp.array[wp.int32]
     cursors: wp.array[wp.int32]
-    entries: wp.array[wp.int32]
+    entries: wp.array[wp.vec4i]  # triangle, and q of its three edges at the tile's first pixel, or ACCEPTED
 
 
 @wp.func
@@ -47,6 +49,25 @@ def edge_misses(a: wp.vec2i, b: wp.vec2i, x: wp.int32, y: wp.int32, dx: wp.int32
     sx, sy = a[1] - b[1], b[0] - a[0]
     best = edge_at(a, b, wp.where(sx > 0, x + dx, x), wp.where(sy > 0, y + dy, y))
     return best < wp.int64(edge_threshold(sx, sy))
+
+
+@wp.func
+def edge_in_tile(a: wp.vec2i, b: wp.vec2i, x: wp.int32, y: wp.int32):
+    """q of an edge at a tile's first pixel centre: inside is q + a i + b j >= 0 for pixel steps i and j.
+
+    The threshold is folded in before the shift. An edge that crosses the tile has |q| <= 15 (|a| + |b|) < 2^31.
+    """
+    sx, sy = a[1] - b[1], b[0] - a[0]
+    q = (edge_at(a, b, x, y) - wp.int64(edge_threshold(sx, sy))) >> wp.int64(8)
+    if q + wp.int64(wp.min(sx, 0)) * wp.int64(15) + wp.int64(wp.min(sy, 0)) * wp.int64(15) >= wp.int64(0):
+        return ACCEPTED
+    return wp.int32(q)
+
+
+@wp.func
+def inside_edge(q: wp.int32, a: wp.vec2i, b: wp.vec2i, i: wp.int32, j: wp.int32):
+    """Exact 32-bit test of a pixel of the tile."""
+    return q == ACCEPTED or q + (a[1] - b[1]) * i + (b[0] - a[0]) * j >= 0
 
 
 @wp.func
@@ -95,7 +116,11 @@ def make_bin_kernels(depth_views: bool, behind: bool):
                 else:
                     place = bins.offsets[b] + wp.atomic_add(bins.cursors, b, 1)
                     if place < bins.entries.shape[0]:
-                        bins.entries[place] = index
+                        cx, cy = tx * (BIN_TILE * 256) + 128, ty * (BIN_TILE * 256) + 128
+                        q0 = edge_in_tile(t.p1, t.p2, cx, cy)
+                        q1 = edge_in_tile(t.p2, t.p0, cx, cy)
+                        q2 = edge_in_tile(t.p0, t.p1, cx, cy)
+                        bins.entries[place] = wp.vec4i(index, q0, q1, q2)
                     else:
                         draw_direct(view, target, t, low, high)
             k += lanes
@@ -162,14 +187,13 @@ def make_bin_kernels(depth_views: bool, behind: bool):
                     limit = out_target.behind[pixel]
         sx, sy = x * 256 + 128, y * 256 + 128
         for place in range(first, last):
-            t = out_target.large[bins.entries[place]]
-            e0 = edge_at(t.p1, t.p2, sx, sy)
-            e1 = edge_at(t.p2, t.p0, sx, sy)
-            e2 = edge_at(t.p0, t.p1, sx, sy)
-            l0 = wp.int64(edge_threshold(t.p1[1] - t.p2[1], t.p2[0] - t.p1[0]))
-            l1 = wp.int64(edge_threshold(t.p2[1] - t.p0[1], t.p0[0] - t.p2[0]))
-            l2 = wp.int64(edge_threshold(t.p0[1] - t.p1[1], t.p1[0] - t.p0[0]))
-            if inside and e0 >= l0 and e1 >= l1 and e2 >= l2:
+            entry = bins.entries[place]
+            t = out_target.large[entry[0]]
+            covered = inside_edge(entry[1], t.p1, t.p2, i, j) and inside_edge(entry[2], t.p2, t.p0, i, j)
+            if inside and covered and inside_edge(entry[3], t.p0, t.p1, i, j):
+                e0 = edge_at(t.p1, t.p2, sx, sy)
+                e1 = edge_at(t.p2, t.p0, sx, sy)
+                e2 = edge_at(t.p0, t.p1, sx, sy)
                 area = wp.float32(edge_at(t.p0, t.p1, t.p2[0], t.p2[1]))
                 z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                 if z >= 0.0:

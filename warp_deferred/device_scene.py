@@ -103,16 +103,18 @@ class DeviceScene:
         row.specular, row.shininess = wp.vec3(*m.specular), m.shininess
         row.occlusion_strength, row.alpha_cutoff = m.occlusion_strength, m.alpha_cutoff
         row.model = MODELS[m.model]
+        textured = 0
         for bit, (name, texture) in enumerate(
             zip(("base_color", "metallic_roughness", "emissive", "occlusion"), m.textures, strict=True)
         ):
             if texture is None:
                 continue
-            row.textured |= 1 << bit
+            textured |= 1 << bit
             setattr(row, f"{name}_texture", self._textures.filtered(texture))
             setattr(row, f"{name}_size", wp.vec2(float(texture.pixels.shape[1]), float(texture.pixels.shape[0])))
+        row.textured = textured
         if m.alpha_mode == "mask":
-            row.flags |= int(structs.FLAG_MASKED)
+            row.flags = int(structs.FLAG_MASKED)
             if m.base_color_texture is not None:
                 row.mask_texture = self._textures.mask(m.base_color_texture)
                 row.mask_wrap = wp.vec2i(*(WRAP_CODES[w] for w in m.base_color_texture.wrap))

@@ -76,12 +76,22 @@ class LoadReport:
         return load_error(f"{self.file} {where}".rstrip(), expected, got, mend)
 
     @contextmanager
-    def at(self, where: str, expected: str = "fields of the right kind") -> Iterator[None]:
-        """Turn errors raised while reading that place of the file into a `LoadError` that names it."""
+    def at(self, where: str, expected: str = "fields of the right kind", *, foreign: bool = False) -> Iterator[None]:
+        """Turn errors raised while reading that place of the file into a `LoadError` that names it.
+
+        Args:
+            where: JSON pointer or line; empty for the whole file.
+            expected: What was expected there.
+            foreign: Whether another library's reader runs inside: damaged bytes may make it raise anything at all.
+        """
         try:
             yield
         except InputError as error:
-            raise LoadError(f"{self.file} {where}: {error}") from None
-        except _MALFORMED as error:
-            got = f"{type(error).__name__}: {error}"
+            raise LoadError(f"{self.file} {where}".rstrip() + f": {error}") from None
+        except LoadError:
+            raise
+        except Exception as error:
+            if isinstance(error, MemoryError) or not (foreign or isinstance(error, _MALFORMED)):
+                raise
+            got = " ".join(f"{type(error).__name__}: {error}".split())
             raise self.error(where, expected, got, "correct the file or export it again") from None

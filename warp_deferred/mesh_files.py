@@ -41,7 +41,10 @@ def load_obj(path: Path, report: LoadReport) -> Scene:
     source = ObjText(path.read_bytes(), report)
     materials = read_mtl(path.parent, source.libraries, report) if source.materials else {}
     names = _Names(len(source.materials))
-    with report.at("", "OBJ lines with as many numbers as their kind asks for"), warnings.catch_warnings():
+    with (
+        report.at("", "OBJ lines with as many numbers as their kind asks for", foreign=True),
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("ignore", DeprecationWarning)
         raw = obj.load_obj(io.BytesIO(source.text.encode()), resolver=names, split_objects=True)
     scene = Scene(path.name)
@@ -98,7 +101,7 @@ def load_ply(path: Path, report: LoadReport) -> Scene:
     # Corner uvs need vertices cut apart; with vertex uvs nothing may be, or colours and normals lose their vertices.
     corner_uvs = re.search(rb"property\s+list\s+\w+\s+\w+\s+texcoord", header) is not None
     expected = "the elements its header announces (lists of one length, if binary)"
-    with report.at("", expected), warnings.catch_warnings():
+    with report.at("", expected, foreign=True), warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         raw = ply.load_ply(io.BytesIO(data), skip_materials=True, fix_texture=corner_uvs)
         scene = Scene(path.name)
@@ -152,12 +155,9 @@ def load_stl(path: Path, report: LoadReport) -> Scene:
     from trimesh.exchange import stl
 
     data = path.read_bytes()
-    with report.at("", "a binary STL of 84 + 50 n bytes, or ASCII solids"), warnings.catch_warnings():
+    with report.at("", "a binary STL of 84 + 50 n bytes, or ASCII solids", foreign=True), warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        try:
-            raw = stl.load_stl(io.BytesIO(data))
-        except stl.HeaderError as error:
-            raise ValueError(str(error)) from None
+        raw = stl.load_stl(io.BytesIO(data))
     solids = {path.stem: raw} if "vertices" in raw else raw.get("geometry", {})
     text = data.lower()
     if not solids and not (b"endsolid" in text or (len(data) == 84 and data[80:] == bytes(4))):

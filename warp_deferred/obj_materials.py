@@ -20,8 +20,18 @@ from .texture_files import decode_image
 __all__ = ["file_texture", "read_mtl"]
 
 #: How many words follow each option of a map statement.
-_OPTIONS = {"-blendu": 1, "-blendv": 1, "-boost": 1, "-cc": 1, "-clamp": 1, "-bm": 1, "-imfchan": 1, "-texres": 1}
-_TRIPLES = ("-o", "-s", "-t", "-mm")
+_OPTIONS = {
+    "-blendu": 1,
+    "-blendv": 1,
+    "-boost": 1,
+    "-cc": 1,
+    "-clamp": 1,
+    "-bm": 1,
+    "-imfchan": 1,
+    "-texres": 1,
+    "-mm": 2,
+}
+_TRIPLES = ("-o", "-s", "-t")
 
 
 def read_mtl(folder: Path, libraries: list[str], report: LoadReport) -> dict[str, Material]:
@@ -125,7 +135,7 @@ def _map(text: str) -> tuple[str, str]:
     wrap, rest = "repeat", text
     while match := re.match(r"(-[a-z]+)\s+", rest):
         option, rest = match[1], rest[match.end() :]
-        limit = 3 if option in _TRIPLES else 2 if option == "-mm" else _OPTIONS.get(option, 0)
+        limit = 3 if option in _TRIPLES else _OPTIONS.get(option, 0)
         for _ in range(limit):
             word, _, after = rest.partition(" ")
             # Triples may be cut short: they end at the first word that is no number.

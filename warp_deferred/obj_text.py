@@ -37,7 +37,6 @@ class ObjText:
         text: The plain form.
         libraries: Names of material files, in order.
         materials: Names of materials in use, in order.
-        has_normals: Whether any face names a normal.
     """
 
     def __init__(self, data: bytes, report: LoadReport) -> None:
@@ -48,19 +47,21 @@ class ObjText:
         self._points: list[str] = []
         self._colored = 0
         self._counts = {"v": 0, "vt": 0, "vn": 0}
-        self._corners: list[list[tuple[int, int, int]]] = []
+        # Flat lists, a list for each face would cost more than all the rest: the words of all corners, and of each
+        # face the number of its corners, its place among `_lines`, its line, and how many v, vt, vn came before.
+        self._words: list[str] = []
+        self._lengths: list[int] = []
         self._places: list[int] = []
-        self._dropped = 0
+        self._numbers: list[int] = []
+        self._before: list[int] = []
         if b"\0" in data[:4096]:
             raise report.error("", "OBJ text", "binary data", "check that the file is an OBJ file")
         text = data.decode("utf-8", errors="replace").replace("\\\r\n", " ").replace("\\\n", " ")
         if "#" in text:
             text = _NOT_A_NUMBER.sub("nan", text)
         unknown = self._read(text)
-        if unknown and not any(self._counts.values()) and not self._corners:
+        if unknown and not any(self._counts.values()) and not self._lengths:
             raise report.error("", "OBJ text", f"a line {unknown[:60]!r}", "check that the file is an OBJ file")
-        self.has_normals = any(c[2] for face in self._corners for c in face)
-        self._has_uvs = any(c[1] for face in self._corners for c in face)
         self.text = self._rewrite()
 
     def material_number(self, name: str | None) -> int | None:
@@ -111,68 +112,115 @@ class ObjText:
         if len(words) < 3:
             self._report.note("faces with fewer than three corners are not rendered")
             return
-        try:
-            corners = [self._corner(word, number) for word in words]
-        except ValueError:
-            raise self._report.error(
-                f"line {number}", "corners v, v/vt, v//vn or v/vt/vn", "f " + " ".join(words), "correct the face"
-            ) from None
+        self._words += words
+        self._lengths.append(len(words))
         self._places.append(len(self._lines))
+        self._numbers.append(number)
+        self._before += self._counts.values()
         self._lines.append("")
-        self._corners.append(corners)
 
-    def _corner(self, word: str, number: int) -> tuple[int, int, int]:
-        """Return absolute one-based (v, vt, vn); 0 stands for an absent vt or vn, -1 for a v before the first."""
-        fields = word.split("/")
-        found = []
-        for field, key in zip(fields[:3], ("v", "vt", "vn"), strict=False):
-            if not field and key != "v":
-                found.append(0)
-                continue
-            index = int(field)
-            if index == 0:
-                raise self._report.error(
-                    f"line {number}", f"{key} indices from 1, or -1 and below", f"0 in {word!r}", "OBJ counts from one"
-                )
-            if index < 0:
-                index += self._counts[key] + 1
-                index = index if index > 0 else -1
-            found.append(index)
-        return (*found, *[0] * (3 - len(found)))
+    def _corners(self) -> np.ndarray:
+        """Return all corners, (n, 3): absolute one-based v, vt, vn; 0 for none, -1 for one before the first."""
+        words = self._words
+        values = np.zeros((len(words), 3), np.int64)
+        if not words:
+            return values
+        slashes = words[0].count("/")
+        uniform = slashes <= 2 and all(word.count("/") == slashes for word in words)
+        joined = " ".join(words)
+        gap = "//" in joined
+        try:
+            if not uniform or (gap and joined.count("//") != len(words)):
+                raise ValueError
+            columns = [0, 2] if gap else list(range(slashes + 1))
+            numbers = np.array(joined.replace("/", " ").split(), dtype=np.str_).astype(np.int64)
+            values[:, columns] = numbers.reshape(len(words), len(columns))
+            given = np.zeros(3, bool)
+            given[columns] = True
+        except ValueError:
+            values, given = self._mixed_corners()
+        self._refuse_zeros(words, values, given)
+        before = np.repeat(np.array(self._before, np.int64).reshape(-1, 3), self._lengths, axis=0)
+        absolute = np.where(values < 0, values + before + 1, values)
+        return np.where((values < 0) & (absolute <= 0), -1, absolute)
+
+    def _mixed_corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parse faces that do not all have one form, word by word; returns numbers and which of them are given."""
+        rows, given = [], []
+        for word in self._words:
+            fields = [*word.split("/")[:3], "", ""][:3]
+            try:
+                rows.append([int(fields[0]), int(fields[1] or 0), int(fields[2] or 0)])
+            except ValueError:
+                line, forms = self._line_of(len(rows)), "corners v, v/vt, v//vn or v/vt/vn"
+                raise self._report.error(f"line {line}", forms, repr(word), "correct the face") from None
+            given.append([True, fields[1] != "", fields[2] != ""])
+        return np.array(rows, np.int64), np.array(given, bool)
+
+    def _line_of(self, corner: int) -> int:
+        """Return the line of the face that a corner belongs to."""
+        return self._numbers[int(np.searchsorted(np.cumsum(self._lengths), corner, side="right"))]
+
+    def _refuse_zeros(self, words: list[str], values: np.ndarray, given: np.ndarray) -> None:
+        zeros = (values == 0) & given
+        if zeros.any():
+            corner, column = np.argwhere(zeros)[0]
+            line = self._line_of(int(corner))
+            raise self._report.error(
+                f"line {line}",
+                f"{('v', 'vt', 'vn')[column]} indices from 1, or -1 and below",
+                f"0 in {words[corner]!r}",
+                "OBJ counts from one",
+            )
 
     def _rewrite(self) -> str:
         points = self._points
         if 0 < self._colored < len(points):
             points = [p if p.count(" ") >= 5 else p + " 1 1 1" for p in points]
-        count, uv_count, normal_count = self._counts["v"], self._counts["vt"], self._counts["vn"]
-        # One-based numbers of the two defaults, which are appended to the lists.
-        no_uv, no_normal = uv_count + 1, normal_count + 1
-        positions: np.ndarray | None = None
-        for place, face in zip(self._places, self._corners, strict=True):
-            if any(not 0 < corner[0] <= count for corner in face):
-                self._dropped += 1
-                continue
-            words = []
-            for v, vt, vn in face:
-                t = str(vt if 0 < vt <= uv_count else no_uv) if self._has_uvs else ""
-                n = str(vn if 0 < vn <= normal_count else no_normal) if self.has_normals else ""
-                words.append(f"{v}/{t}/{n}" if n else f"{v}/{t}" if t else str(v))
-            if len(face) == 3:
-                self._lines[place] = "f " + " ".join(words)
-                continue
-            positions = self._positions() if positions is None else positions
-            cut = triangulate_polygon(positions[[corner[0] - 1 for corner in face]])
-            self._lines[place] = "\n".join(f"f {words[a]} {words[b]} {words[c]}" for a, b, c in cut)
-        if self._dropped:
-            plural = "face" if self._dropped == 1 else "faces"
-            self._report.repair(f"dropped {self._dropped} {plural} with an index outside its {count} vertices")
+        limits = np.array(list(self._counts.values()))
+        corners = self._corners()
+        has_uvs, has_normals = (bool((corners[:, k] != 0).any()) for k in (1, 2))
+        inside = (corners[:, 0] > 0) & (corners[:, 0] <= limits[0])
+        # Uvs and normals that are missing or out of range become the two defaults that are appended to the lists.
+        whole = (corners > 0) & (corners <= limits)
+        corners = np.where(whole, corners, limits + 1)
+        self._write_faces(corners, inside, has_uvs, has_normals)
         head = [f"mtllib {MATERIAL_FILE}"] if self.materials else []
         vertices = ["v " + p for p in points]
-        defaults = (["vt 0 1"] if self._has_uvs else []) + (["vn 0 0 0"] if self.has_normals else [])
+        defaults = (["vt 0 1"] if has_uvs else []) + (["vn 0 0 0"] if has_normals else [])
         attributes = [line for line in self._lines if line.startswith("v")]
         rest = [line for line in self._lines if line and not line.startswith("v")]
         return "\n".join(head + vertices + attributes + defaults + rest) + "\n"
 
+    def _write_faces(self, corners: np.ndarray, inside: np.ndarray, has_uvs: bool, has_normals: bool) -> None:
+        """Put each face's triangles into its place among the lines; faces that name no vertex are left out."""
+        v, vt, vn = (corners[:, k].tolist() for k in range(3))
+        if has_uvs and has_normals:
+            words = [f"{a}/{b}/{c}" for a, b, c in zip(v, vt, vn, strict=True)]
+        elif has_uvs or has_normals:
+            slashes = "/" if has_uvs else "//"
+            words = [f"{a}{slashes}{b}" for a, b in zip(v, vt if has_uvs else vn, strict=True)]
+        else:
+            words = [str(a) for a in v]
+        usable = inside.tolist()
+        positions: np.ndarray | None = None
+        start = dropped = 0
+        for length, place in zip(self._lengths, self._places, strict=True):
+            end = start + length
+            if not all(usable[start:end]):
+                dropped += 1
+            elif length == 3:
+                self._lines[place] = f"f {words[start]} {words[start + 1]} {words[start + 2]}"
+            else:
+                positions = self._positions() if positions is None else positions
+                cut = triangulate_polygon(positions[corners[start:end, 0] - 1])
+                face = words[start:end]
+                self._lines[place] = "\n".join(f"f {face[a]} {face[b]} {face[c]}" for a, b, c in cut)
+            start = end
+        if dropped:
+            plural = "face" if dropped == 1 else "faces"
+            self._report.repair(f"dropped {dropped} {plural} with an index outside its {self._counts['v']} vertices")
+
     def _positions(self) -> np.ndarray:
         with self._report.at("vertices", "three numbers in each"):
-            return np.array([[float(x) for x in point.split()[:3]] for point in self._points], np.float64)
+            return np.array([point.split()[:3] for point in self._points], np.str_).astype(np.float64)

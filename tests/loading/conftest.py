@@ -95,9 +95,9 @@ class GltfWriter:
         return path
 
 
-def png(pixels: np.ndarray, mode: str | None = None, **options) -> bytes:
+def png(pixels: np.ndarray, **options) -> bytes:
     """Encode a PNG with Pillow, independently of the library under test."""
-    image = pytest.importorskip("PIL.Image").fromarray(np.asarray(pixels), mode)
+    image = pytest.importorskip("PIL.Image").fromarray(np.asarray(pixels))
     file = io.BytesIO()
     image.save(file, "PNG", **options)
     return file.getvalue()

@@ -65,7 +65,7 @@ class RasterPass(Pass):
             tiles = len(layout.bin_tiles)
             result["large_triangles"] = Buffer(structs.LargeTriangle, raster.large_capacity)
             result["large_count"] = Buffer(wp.int32, 1, lasting=True)
-            result["bin_entries"] = Buffer(wp.int32, max(raster.bin_capacity, 1))
+            result["bin_entries"] = Buffer(wp.vec4i, max(raster.bin_capacity, 1))
             result |= {
                 name: Buffer(wp.int32, tiles, lasting=True) for name in ("bin_counts", "bin_offsets", "bin_cursors")
             }
@@ -92,7 +92,7 @@ class RasterPass(Pass):
             for field in ("counts", "offsets", "cursors", "entries"):
                 setattr(self.bins, field, resources.channels[f"bin_{field}"])
             if self.request.settings.raster.bin_capacity == 0:
-                self.bins.entries = wp.zeros(0, dtype=wp.int32, device=resources.device)
+                self.bins.entries = wp.zeros(0, dtype=wp.vec4i, device=resources.device)
 
     @staticmethod
     def _slice(resources: Resources, name: str, dtype: type, count: int, k: int) -> wp.array:
