@@ -9,7 +9,7 @@ import warp as wp
 from warp_deferred import Settings, load
 
 from .cases import FrameCase, frame_cases
-from .probe import bytes_by_pass, first_frame, lit_lights, raster_counts
+from .probe import bytes_by_pass, lit_lights, open_scene, plan_of, raster_counts
 from .record import Record
 from .timing import REPEATS, copy_bandwidth, time_passes, time_program
 
@@ -45,7 +45,8 @@ def _row(case: FrameCase, device: wp.Device, settings: Settings, bandwidth: floa
         "triangles": scene.triangle_count, "lights": len(scene.lights),
     }  # fmt: skip
     row |= lit_lights(scene, size, device, settings)
-    renderer, plan = first_frame(scene, size, device, ("display",), settings)
+    renderer = open_scene(scene, size, device, ("display",))
+    plan = plan_of(renderer, settings)
     program = plan.resources.program
     whole = time_program(program, repeats=repeats)
     moved = bytes_by_pass(plan)

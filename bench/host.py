@@ -12,7 +12,7 @@ import warp as wp
 from warp_deferred import Camera, Renderer, Settings, load
 
 from .cases import frame_cases
-from .probe import first_frame
+from .probe import open_scene, plan_of
 from .record import Record
 from .timing import Timing, time_calls
 
@@ -38,7 +38,8 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
     case = frame_cases(device.is_cuda, quick=quick)[0]
     note(case.title)
     scene = load(case.source)
-    renderer, _ = first_frame(scene, (case.width, case.height), device, ("display",), settings)
+    renderer = open_scene(scene, (case.width, case.height), device, ("display",))
+    plan_of(renderer, settings)
     calls = QUICK_CALLS if quick else CALLS if device.is_cuda else 100
     eyes = [_eye(k) for k in range(calls)]
     cameras = [_look(eye) for eye in eyes]

@@ -9,7 +9,7 @@ import warp as wp
 from warp_deferred import Settings
 
 from .cases import BRUTE_FORCE_LIMIT, LIGHT_COUNTS, MEANS, RESOLUTIONS, many_lights, reachable_mean
-from .probe import first_frame, lit_lights
+from .probe import lit_lights, open_scene, plan_of
 from .record import Record
 from .timing import REPEATS, time_program
 
@@ -53,10 +53,10 @@ def _row(
     scene = many_lights(lights, mean)
     row: dict[str, Any] = {"lights": lights, "mean": mean, "width": size[0], "height": size[1]}
     row |= lit_lights(scene, size, device, settings)
-    _, plan = first_frame(scene, size, device, ("display",), settings)
-    row |= time_lighting(plan.resources.program, repeats)
+    renderer = open_scene(scene, size, device, ("display",))
+    row |= time_lighting(plan_of(renderer, settings).resources.program, repeats)
     if lights <= BRUTE_FORCE_LIMIT:
         all_lights = settings.replace(light_culling=settings.light_culling.replace(rung="brute_force"))
-        _, plan = first_frame(scene, size, device, ("display",), all_lights)
-        row |= time_program(plan.resources.program, LIGHTING, repeats=repeats).metrics("brute_force")
+        program = plan_of(renderer, all_lights).resources.program
+        row |= time_program(program, LIGHTING, repeats=repeats).metrics("brute_force")
     return row

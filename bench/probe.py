@@ -13,21 +13,19 @@ from warp_deferred.plan import Plan
 
 from .timing import run_until
 
-__all__ = ["bytes_by_pass", "count_lights", "first_frame", "lights_per_tile", "lit_lights", "raster_counts"]
+__all__ = ["bytes_by_pass", "count_lights", "lights_per_tile", "lit_lights", "open_scene", "plan_of", "raster_counts"]
 
 
-def first_frame(
-    scene: Scene, size: tuple[int, int], device: wp.Device, outputs: Sequence[str], settings: Settings
-) -> tuple[Renderer, Plan]:
-    """Render one frame, so that kernels are loaded and cameras and lights uploaded; returns what to time."""
-    renderer = Renderer(scene, width=size[0], height=size[1], device=device, outputs=outputs, settings=settings)
+def open_scene(scene: Scene, size: tuple[int, int], device: wp.Device, outputs: Sequence[str]) -> Renderer:
+    """Make a renderer that takes its settings from the scene, so that `plan_of` can change them without a new upload."""
+    return Renderer(scene, width=size[0], height=size[1], device=device, outputs=outputs)
+
+
+def plan_of(renderer: Renderer, settings: Settings) -> Plan:
+    """Render one frame with these settings and return its plan: kernels are loaded, cameras and lights uploaded."""
+    renderer.scene.settings = settings
     renderer.render()
-    wp.synchronize_device(device)
-    return renderer, plan_of(renderer)
-
-
-def plan_of(renderer: Renderer) -> Plan:
-    """The plan of the renderer's last frame."""
+    wp.synchronize_device(renderer.device)
     return renderer._plan
 
 
@@ -49,10 +47,8 @@ def lights_per_tile(plan: Plan) -> np.ndarray:
 
 def lit_lights(scene: Scene, size: tuple[int, int], device: wp.Device, settings: Settings) -> dict[str, float]:
     """Mean and most lights that light a pixel which shows a surface, and the share of such pixels."""
-    renderer = Renderer(
-        scene, width=size[0], height=size[1], device=device, outputs=("light_count", "instance_id"), settings=settings
-    )
-    frame = renderer.render()
+    scene.settings = settings
+    frame = open_scene(scene, size, device, ("light_count", "instance_id")).render()
     return count_lights(frame.numpy("light_count"), frame.numpy("instance_id") >= 0)
 
 

@@ -99,7 +99,9 @@ def write(path: str | os.PathLike[str], record: Record) -> Path:
         temporary.replace(target)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        raise LoadError(f"{target}: expected a file that can be written, got {error.strerror}; check the path") from None
+        raise LoadError(
+            f"{target}: expected a file that can be written, got {error.strerror}; check the path"
+        ) from None
     return target
 
 
@@ -120,9 +122,13 @@ def read(path: str | os.PathLike[str]) -> Record:
         raise LoadError(f"{source}: expected a result of a bench, got {error}; run the bench again") from None
     missing = [key for key in REQUIRED if key not in record] if isinstance(record, dict) else list(REQUIRED)
     if missing or not isinstance(record["rows"], list):
-        raise LoadError(f"{source}: expected the keys {', '.join(REQUIRED)}, got none of {missing}; run the bench again")
+        raise LoadError(
+            f"{source}: expected the keys {', '.join(REQUIRED)}, got none of {missing}; run the bench again"
+        )
     for k, row in enumerate(record["rows"]):
         for name, value in row.items():
             if isinstance(value, float) and not math.isfinite(value):
-                raise LoadError(f"{source}: rows[{k}].{name}: expected a finite number, got {value}; run the bench again")
+                raise LoadError(
+                    f"{source}: rows[{k}].{name}: expected a finite number, got {value}; run the bench again"
+                )
     return record

@@ -11,7 +11,7 @@ from warp_deferred import Settings
 
 from .cases import RESOLUTIONS, TILE_LIGHTS, TILE_SIZES, many_lights
 from .lights import time_lighting
-from .probe import first_frame, lights_per_tile
+from .probe import lights_per_tile, open_scene, plan_of
 from .record import Record
 from .timing import REPEATS
 
@@ -43,10 +43,11 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
     for lights in QUICK_LIGHTS if quick else TILE_LIGHTS:
         scene = many_lights(lights, MEAN)
         for name, size in (QUICK_RESOLUTIONS if quick else RESOLUTIONS).items():
+            renderer = open_scene(scene, size, device, ("display",))
             for tile in QUICK_TILES if quick else TILE_SIZES:
                 note(f"{lights:,} lights, {name}, tiles of {tile} px")
                 culling = settings.light_culling.replace(tile_size=tile)
-                _, plan = first_frame(scene, size, device, ("display",), settings.replace(light_culling=culling))
+                plan = plan_of(renderer, settings.replace(light_culling=culling))
                 row = {"resolution": name, "width": size[0], "height": size[1], "lights": lights, "tile_size": tile}
                 row |= time_lighting(plan.resources.program, 5 if quick else REPEATS)
                 counts = lights_per_tile(plan)

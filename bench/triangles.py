@@ -12,7 +12,7 @@ import warp as wp
 from warp_deferred import Settings
 
 from .cases import RESOLUTIONS, TRIANGLE_CASES, TriangleCase
-from .probe import bytes_by_pass, first_frame, raster_counts
+from .probe import bytes_by_pass, open_scene, plan_of, raster_counts
 from .record import Record
 from .timing import REPEATS, copy_bandwidth, time_program
 
@@ -48,7 +48,8 @@ def _row(case: TriangleCase, device: wp.Device, quick: bool, settings: Settings,
     scene = case.quick() if quick else case.build()
     width, height = QUICK_SIZE if quick else RESOLUTIONS["1080p"]
     # A lit output is what makes the resolve write the G-buffer; the passes behind it are not timed.
-    renderer, plan = first_frame(scene, (width, height), device, ("display",) if case.whole else ("depth",), settings)
+    renderer = open_scene(scene, (width, height), device, ("display",) if case.whole else ("depth",))
+    plan = plan_of(renderer, settings)
     program, repeats = plan.resources.program, 5 if quick else REPEATS
     passes = (*VISIBILITY, "resolve") if case.whole else VISIBILITY
     whole = time_program(program, passes, repeats=repeats)
@@ -62,6 +63,6 @@ def _row(case: TriangleCase, device: wp.Device, quick: bool, settings: Settings,
         row |= time_program(program, ("resolve",), repeats=repeats).metrics("resolve")
     row |= time_program(program, ("raster",), repeats=repeats).metrics("raster")
     row |= {"bytes": moved, "floor.ms": round(moved / bandwidth * 1e3, 6)}
-    row |= {"times_floor": round(whole.median / (moved / bandwidth * 1e3), 3)}
-    row |= raster_counts(plan) | {"memory.bytes": renderer.memory_report().total, "scene.bytes": renderer.memory_report().scene}
-    return row
+    row["times_floor"] = round(whole.median / (moved / bandwidth * 1e3), 3)
+    memory = renderer.memory_report()
+    return row | raster_counts(plan) | {"memory.bytes": memory.total, "scene.bytes": memory.scene}
