@@ -53,12 +53,12 @@ def _measure(
 
     # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
     wp.config.log_level = wp.LOG_WARNING
+    settings = Settings().with_values(list(sets or ()))
     try:
         chosen = wp.get_device(device)
     except (ValueError, RuntimeError):
         known = ", ".join(str(d) for d in wp.get_devices())
         raise DeviceError(f"--device: expected one of {known}, got {device!r}; check the name") from None
-    settings = Settings().with_values(list(sets or ()))
     started = time.perf_counter()
     _note(f"{name} on {chosen.name}")
     head = record.header(name, chosen, quick=quick, settings=list(sets or ()))
@@ -68,17 +68,30 @@ def _measure(
     return result
 
 
-def _deliver(result: dict[str, Any], json_path: str | None, plot: str | None) -> None:
-    """Write what was asked for; the table to stdout where nothing was."""
+def _bench(
+    name: str,
+    device: str,
+    json_path: str | None,
+    plot: str | None,
+    quick: bool,
+    sets: list[str] | None,
+    **more: Any,
+) -> None:
+    """Run the bench of that name and write what was asked for; the table to stdout where nothing was."""
+    import importlib
+
     from . import record, tables
 
+    if plot is not None:
+        from . import plots
+
+        plots.check_target(plot)  # before minutes of measuring, not after
+    result = _measure(name, importlib.import_module(f"{__package__}.{name}").run, device, quick, sets, **more)
     if json_path is None and plot is None:
         typer.echo(tables.full_table(result))
     if json_path is not None:
         typer.echo(f"wrote {record.write(json_path, result)}")
     if plot is not None:
-        from . import plots
-
         typer.echo(f"wrote {plots.draw(result, plot)}")
 
 
@@ -87,9 +100,7 @@ def tiles(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """Tile size by number of lights by resolution: culling, shading, lights per tile."""
-    from . import tiles as bench
-
-    _deliver(_measure("tiles", bench.run, device, quick, set_), json, plot)
+    _bench("tiles", device, json, plot, quick, set_)
 
 
 @app.command()
@@ -104,12 +115,11 @@ def triangles(
     """Six distributions of triangles: the G-buffer, or visibility alone."""
     from warp_deferred.checks import check_choice
 
-    from . import triangles as bench
     from .cases import TRIANGLE_CASES
 
     if only:
         check_choice("--only", only, [case.name for case in TRIANGLE_CASES])
-    _deliver(_measure("triangles", bench.run, device, quick, set_, only=only), json, plot)
+    _bench("triangles", device, json, plot, quick, set_, only=only)
 
 
 @app.command()
@@ -117,9 +127,7 @@ def lights(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """1 to 10 000 lights of which 5, 20 and 80 reach a pixel; brute force beside."""
-    from . import lights as bench
-
-    _deliver(_measure("lights", bench.run, device, quick, set_), json, plot)
+    _bench("lights", device, json, plot, quick, set_)
 
 
 @app.command()
@@ -132,9 +140,7 @@ def frame(
     huge: Annotated[bool, typer.Option("--huge", help="Render 16384x16384 pixels, too (about 10 GB).")] = False,
 ) -> None:
     """Whole frames, pass by pass, as multiples of their memory floor."""
-    from . import frame as bench
-
-    _deliver(_measure("frame", bench.run, device, quick, set_, huge=huge), json, plot)
+    _bench("frame", device, json, plot, quick, set_, huge=huge)
 
 
 @app.command()
@@ -142,9 +148,7 @@ def host(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """What one `render` with a new camera costs the calling thread."""
-    from . import host as bench
-
-    _deliver(_measure("host", bench.run, device, quick, set_), json, plot)
+    _bench("host", device, json, plot, quick, set_)
 
 
 @app.command()

@@ -36,7 +36,7 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
         reached = [reachable_mean(lights, mean) for mean in (QUICK_MEANS if quick else MEANS)]
         for mean in dict.fromkeys(reached):
             note(f"{lights:,} lights, mean {mean:g}")
-            rows.append(_row(lights, mean, size, device, settings, 5 if quick else REPEATS))
+            rows.append(_row(lights, mean, size, device, settings, quick))
     return {"rows": rows}
 
 
@@ -48,9 +48,9 @@ def time_lighting(program: Any, repeats: int) -> dict[str, float]:
 
 
 def _row(
-    lights: int, mean: float, size: tuple[int, int], device: wp.Device, settings: Settings, repeats: int
+    lights: int, mean: float, size: tuple[int, int], device: wp.Device, settings: Settings, quick: bool
 ) -> dict[str, Any]:
-    scene = many_lights(lights, mean)
+    scene, repeats = many_lights(lights, mean, quick=quick), 5 if quick else REPEATS
     row: dict[str, Any] = {"lights": lights, "mean": mean, "width": size[0], "height": size[1]}
     row |= lit_lights(scene, size, device, settings)
     renderer = open_scene(scene, size, device, ("display",))

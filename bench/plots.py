@@ -10,6 +10,7 @@ import numpy as np
 
 from warp_deferred.errors import Error, LoadError
 
+from .cases import reachable_mean
 from .frame import pass_names
 from .record import Record
 from .tables import milliseconds
@@ -24,11 +25,13 @@ except ImportError as error:  # told here, where a plot was asked for
         "matplotlib: expected it for plots, got no such module; install it with: pip install -e '.[dev]'"
     ) from error
 
-__all__ = ["draw"]
+__all__ = ["check_target", "draw"]
 
 #: Colour-blind safe (Okabe and Ito 2008), in the order in which series take them.
 COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8C6D31", "#555555")
-INK, PALE, GRID = "#222222", "#9A9A9A", "#E4E4E4"
+INK, PALE, GRID, LIMIT = "#222222", "#8A8A8A", "#E4E4E4", "#C1121F"
+#: Colours on which white is hard to read.
+LIGHT_COLORS = (COLORS[1], COLORS[5])
 STYLE = {
     "font.size": 9.0, "axes.titlesize": 10.0, "axes.titleweight": "bold", "axes.titlelocation": "left",
     "axes.edgecolor": PALE, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK, "ytick.color": INK,
@@ -39,15 +42,21 @@ STYLE = {
 DPI = 130
 
 
+def check_target(path: str | os.PathLike[str]) -> Path:
+    """Return the path if it names a PNG file."""
+    target = Path(path)
+    if target.suffix.lower() != ".png":
+        raise LoadError(f"{target}: expected a name that ends in .png, got {target.suffix!r}; rename it")
+    return target
+
+
 def draw(record: Record, path: str | os.PathLike[str]) -> Path:
     """Draw a result's plot as PNG; the same result gives the same bytes under the same matplotlib.
 
     Raises:
         LoadError: If the name does not end in .png or the file cannot be written.
     """
-    target = Path(path)
-    if target.suffix.lower() != ".png":
-        raise LoadError(f"{target}: expected a name that ends in .png, got {target.suffix!r}; rename it")
+    target = check_target(path)
     with matplotlib.rc_context(STYLE):
         figure = _DRAW[record["bench"]](record)
         try:
@@ -60,9 +69,10 @@ def draw(record: Record, path: str | os.PathLike[str]) -> Path:
 
 
 def _log_ticks(axis: Any) -> None:
-    """Plain numbers on a logarithmic axis."""
+    """Plain numbers at 1, 2 and 5 on a logarithmic axis."""
+    axis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_minor_locator(matplotlib.ticker.NullLocator())
     axis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{v:,.0f}" if v >= 1 else f"{v:g}"))
-    axis.set_minor_formatter(matplotlib.ticker.NullFormatter())
 
 
 def _device(record: Record) -> str:
@@ -85,10 +95,11 @@ def _triangles(record: Record) -> Figure:
         values = [value(r) for r in rows]
         axes.barh(places, values, 0.25, color=color, label=label)
         for y, v in zip(places, values, strict=True):
-            axes.text(v * 1.04, y, milliseconds(v), va="center", fontsize=8, color=INK if k == 0 else PALE)
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
+            axes.text(v * 1.05, y, milliseconds(v), va="center", fontsize=8, color=INK if k == 0 else PALE, bbox=box)
     targets = [TRIANGLE_QUOTES[r["case"]].must_reach for r in rows]
     for i, t in enumerate(targets):
-        axes.plot([t, t], [i - 0.42, i + 0.42], color=COLORS[3], linewidth=1.4, label="must reach" if i == 0 else None)
+        axes.plot([t, t], [i - 0.42, i + 0.42], color=LIMIT, linewidth=1.4, label="must reach" if i == 0 else None)
     axes.set(xscale="log", xlim=(min(low, *targets) / 1.6, high * 1.8), yticks=range(len(rows)))
     axes.set_yticklabels([r["title"] for r in rows])
     axes.invert_yaxis()
@@ -114,12 +125,14 @@ def _tiles(record: Record) -> Figure:
             axes.plot(*zip(*sorted(points), strict=True), "o-", color=COLORS[k], markersize=4, label=f"{lights:,}")
         axes.set(xscale="log", yscale="log", title=name, xlabel="side of a tile [px]")
         axes.set_xticks(sizes, [str(s) for s in sizes])
+        axes.minorticks_off()
         axes.set_xlim(sizes[0] / 1.3, sizes[-1] * 1.3)
         _log_ticks(axes.yaxis)
     panels[0].set_ylabel("stage + cull + shade [ms]")
     panels[-1].legend(title="lights", loc="center left", bbox_to_anchor=(1.0, 0.5))
     _heat_map(record, bottom.subplots())
-    figure.suptitle(f"Light tiles, {record['mean']:g} lights at a pixel on average: {_device(record)}", fontsize=10)
+    title = f"Light tiles, {record['mean']:g} lights at a pixel on average: {_device(record)}"
+    figure.suptitle(title, fontsize=10, fontweight="bold")
     return figure
 
 
@@ -138,21 +151,24 @@ def _lights(record: Record) -> Figure:
     figure = Figure(figsize=(7.2, 4.2))
     axes = figure.subplots()
     rows = record["rows"]
-    # What few lights cannot give has a mean of its own: those rows stand in the curve of the smallest mean.
-    full = sorted({r["mean"] for r in rows if r["mean"] == int(r["mean"])} or {r["mean"] for r in rows})
-    for k, mean in enumerate(full):
-        points = [(r["lights"], r["total.ms"]) for r in rows if r["mean"] == mean or (k == 0 and r["mean"] < mean)]
-        axes.plot(*zip(*sorted(points), strict=True), "o-", color=COLORS[k], markersize=4, label=f"{mean:g} at a pixel")
-        brute = [(r["lights"], r["brute_force.ms"]) for r in rows if r["mean"] == mean and "brute_force.ms" in r]
-        if brute:
-            label = "brute force" if k == 0 else None
-            axes.plot(*zip(*sorted(brute), strict=True), "--", color=COLORS[k], linewidth=1.0, label=label)
+    counts = sorted({r["lights"] for r in rows})
+    place = {(r["lights"], r["mean"]): r for r in rows}
+    # The means that the largest number of lights gives; fewer lights stand in each curve with the most they can give.
+    for k, mean in enumerate(sorted(r["mean"] for r in rows if r["lights"] == counts[-1])):
+        curve = [place[count, reachable_mean(count, mean)] for count in counts]
+        axes.plot(counts, [r["total.ms"] for r in curve], "o-", color=COLORS[k], markersize=4, label=f"{mean:g} lit")
+        brute = [(r["lights"], r["brute_force.ms"]) for r in curve if "brute_force.ms" in r]
+        if brute and k == 0:
+            axes.plot(*zip(*brute, strict=True), "--", color=PALE, linewidth=1.2, label=f"{mean:g} lit, brute force")
     if not record["quick"]:
         spots = [(lights, limit) for (lights, _), limit in LIGHT_TARGETS_MS.items()]
-        axes.plot(*zip(*spots, strict=True), "_", color=COLORS[3], markersize=16, markeredgewidth=2, label="must reach")
+        axes.plot(
+            *zip(*spots, strict=True), "_", color=LIMIT, markersize=16, markeredgewidth=2, label="5 lit must reach"
+        )
     axes.set(xscale="log", yscale="log", xlabel="lights in the scene", ylabel="stage + cull + shade [ms]")
-    _log_ticks(axes.xaxis)
     _log_ticks(axes.yaxis)
+    axes.set_xticks(counts, [f"{count:,}" for count in counts])
+    axes.tick_params(axis="x", which="minor", bottom=False, labelbottom=False)
     axes.set_title(f"Lights at {rows[0]['width']}x{rows[0]['height']}: {_device(record)}")
     axes.legend(loc="upper left")
     return figure
@@ -169,7 +185,8 @@ def _frame(record: Record) -> Figure:
             value = row[f"pass.{name}.ms"]
             axes.barh(1, value, 0.75, left=left, color=colors[name], label=name)
             if value > 0.07 * row["passes.sum_ms"]:
-                axes.text(left + value / 2, 1, milliseconds(value), ha="center", va="center", fontsize=8, color="white")
+                ink = INK if colors[name] in LIGHT_COLORS else "white"
+                axes.text(left + value / 2, 1, milliseconds(value), ha="center", va="center", fontsize=8, color=ink)
             left += value
         axes.barh(0, row["frame.ms"], 0.75, color="#B9B9B9")
         axes.text(row["frame.ms"] * 0.99, 0, milliseconds(row["frame.ms"]), ha="right", va="center", fontsize=8)
@@ -177,7 +194,7 @@ def _frame(record: Record) -> Figure:
         axes.plot([floor, floor], [-0.5, 1.5], color=INK, linestyle=":", linewidth=1.2)
         target = FRAME_TARGETS.get(row["case"])
         if target:
-            axes.plot([target.ms, target.ms], [-0.5, 1.5], color=COLORS[3], linewidth=1.6)
+            axes.plot([target.ms, target.ms], [-0.5, 1.5], color=LIMIT, linewidth=1.6)
         axes.set(yticks=(1, 0), yticklabels=("passes", "whole frame"), ylim=(-0.55, 1.55))
         axes.set_xlim(0.0, 1.03 * max(left, row["frame.ms"], target.ms if target else 0.0))
         axes.grid(axis="y", visible=False)
@@ -197,7 +214,7 @@ def _host(record: Record) -> Figure:
         axes.plot([row["host.us_p5"], row["host.us_p95"]], [i, i], color=INK, linewidth=1.2)
         axes.text(row["host.us_p95"], i, f"  {row['host.us']:,.0f}", va="center", fontsize=8)
     if not record["device"].startswith("CPU"):
-        axes.axvline(HOST_TARGET_US, color=COLORS[3], linewidth=1.6)
+        axes.axvline(HOST_TARGET_US, color=LIMIT, linewidth=1.6)
     axes.set_yticks(range(len(rows)), [r["text"].replace("`", "") for r in rows])
     axes.set_xlim(0.0, 1.15 * max([r["host.us_p95"] for r in rows]))
     axes.invert_yaxis()

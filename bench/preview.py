@@ -47,7 +47,7 @@ def run(device: wp.Device, out: Path, *, quick: bool, settings: Settings, note: 
         paths.append(_write(out / f"frame_{case.name}.png", frame.numpy("display")[0]))
     for lights in (10,) if quick else (10, 1000, 10_000):
         note(f"{lights:,} lights")
-        frame = _renderer(many_lights(lights, 5), size, device, ("display",), settings).render()
+        frame = _renderer(many_lights(lights, 5, quick=quick), size, device, ("display",), settings).render()
         paths.append(_write(out / f"lights_{lights}.png", frame.numpy("display")[0]))
     return paths
 
@@ -61,7 +61,7 @@ def _renderer(
 def by_number(ids: np.ndarray) -> np.ndarray:
     """Colour each number differently, -1 black: (height, width) int32 -> (height, width, 4) uint8."""
     mixed = (ids.astype(np.uint64) + 1) * 0x9E3779B1 & 0xFFFFFFFF
-    channels = [96 + (mixed >> shift & 0x9F) for shift in (8, 16, 24)]
+    channels = [48 + (mixed >> shift & 0xFF) * 207 // 255 for shift in (8, 16, 24)]
     picture = np.stack([*channels, np.full_like(mixed, 255)], axis=-1).astype(np.uint8)
     picture[ids < 0, :3] = 0
     return picture

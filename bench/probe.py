@@ -1,4 +1,4 @@
-"""What a plan holds after a frame: which lights a tile considers, how many reach a pixel, how many triangles are large."""
+"""What a plan holds after a frame: lights of each tile, lights at each pixel, triangles that are large."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["bytes_by_pass", "count_lights", "lights_per_tile", "lit_lights", "op
 
 
 def open_scene(scene: Scene, size: tuple[int, int], device: wp.Device, outputs: Sequence[str]) -> Renderer:
-    """Make a renderer that takes its settings from the scene, so that `plan_of` can change them without a new upload."""
+    """Make a renderer that follows the scene's settings, so that `plan_of` can change them without a new upload."""
     return Renderer(scene, width=size[0], height=size[1], device=device, outputs=outputs)
 
 

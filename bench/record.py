@@ -40,7 +40,7 @@ def header(bench: str, device: wp.Device, *, quick: bool, settings: list[str]) -
         "warp": wp.config.version,
         "driver": _driver(device),
         "commit": _commit(),
-        "date": datetime.datetime.now(datetime.timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
+        "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "quick": quick,
         "settings": list(settings),
     }

@@ -20,17 +20,29 @@ OPENING = re.compile(r"<!-- bench:([\w-]+) -->")
 RESULTS, PAGE, IMAGES = Path("bench/results"), Path("docs/benchmarks.md"), Path("docs/images")
 #: Bench -> heading and what its table shows; the order of the page.
 SECTIONS = {
-    "frame": ("Whole frames", "Frames with the output `display`, then their passes. A pass's floor is the time its memory "
-              "traffic takes at the copy bandwidth measured in the same run; passes are timed as graphs of their own, so "
-              "that their sum exceeds the frame's by the cost of starting a graph."),
-    "triangles": ("Triangles", "Terrain: the whole compact G-buffer of 16 bytes a pixel (clear, cull, raster, resolve). "
-                  "The others: clear and visibility, drawn whatever their winding."),
-    "lights": ("Lights", "Point lights over one scene, their ranges set so that a stated number of them lights a pixel on "
-               "average; the mean is counted again in the rendered picture."),
+    "frame": (
+        "Whole frames",
+        "Frames with the output `display`, then their passes. A pass's floor is the time its memory traffic takes at "
+        "the copy bandwidth measured in the same run; passes are timed as graphs of their own, so that their sum "
+        "exceeds the frame's by the cost of starting graphs.",
+    ),
+    "triangles": (
+        "Triangles",
+        "Terrain: the whole compact G-buffer of 16 bytes a pixel (clear, cull, raster, resolve). The others: clear and "
+        "visibility, drawn whatever their winding.",
+    ),
+    "lights": (
+        "Lights",
+        "Point lights over one scene, their ranges set so that a stated number of them lights a pixel on average; the "
+        "mean is counted again in the rendered picture.",
+    ),
     "tiles": ("Light tiles", "The same scene by the side of a screen tile, the number of lights and the resolution."),
-    "host": ("Host time", "What a call of `render` costs the thread that makes it. The device is waited for after every third "
-             "call, outside the clock; the last figure waits for nothing and is bound by whichever is slower."),
-}  # fmt: skip
+    "host": (
+        "Host time",
+        "What a call of `render` costs the thread that makes it. The device is waited for after every third call, "
+        "outside the clock; the last figure waits for nothing and is bound by whichever is slower.",
+    ),
+}
 INTRODUCTION = """# Benchmarks
 
 Written by `python -m bench report` from `bench/results/*.json`; do not edit. The cases are frozen in `bench/cases.py`;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,13 +16,12 @@ Row = dict[str, Any]
 
 
 def milliseconds(value: float) -> str:
-    """Three significant digits, no exponent."""
+    """Three significant digits, no exponent, nothing below a nanosecond."""
     if value == 0.0:
         return "0"
-    digits = 2
-    while abs(value) < 10.0 ** (2 - digits) and digits < 6:
-        digits += 1
-    return f"{value:,.{max(0, digits if abs(value) < 10 else 3 - len(str(int(abs(value)))))}f}"
+    # Rounded before counting, so that 0.09996 is 0.100 and not 0.1000.
+    exponent = math.floor(math.log10(abs(float(f"{value:.2e}"))))
+    return f"{value:,.{min(max(2 - exponent, 0), 6)}f}"
 
 
 def _spread(row: Row, name: str) -> str:
@@ -44,10 +44,12 @@ def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in (titles, rules, *rows))
 
 
-def _verdict(value: float, limit: float | None) -> str:
+def _verdict(record: Record, value: float, limit: float | None) -> str:
+    """The limit, and whether it holds where the result is of a machine the limit is stated for."""
     if limit is None:
         return ""
-    return f"≤ {limit:g} {'✓' if value <= limit else '✗'}"
+    stated = "H200" in record["device"] or record["device"].startswith("CPU, 2 cores")
+    return f"≤ {limit:g}" + (f" {'✓' if value <= limit else '✗'}" if stated and not record["quick"] else "")
 
 
 def provenance(record: Record) -> str:
@@ -72,7 +74,7 @@ def short_table(record: Record) -> str:
 
 
 def _triangles(record: Record, full: bool = True) -> str:
-    columns = ["case (ms)", ">ours"] + [">5 % to 95 %", ">raster alone", ">× memory floor"] * full
+    columns = ["case (ms)", ">ours"] + [">5 % to 95 %", ">raster alone", ">of memory floor"] * full
     columns += [">must reach*", ">one path*", ">two paths*", ">nvdiffrast*", ">OpenGL*"]
     columns += [">large triangles", ">bin entries"] * full
     rows = []
@@ -80,16 +82,16 @@ def _triangles(record: Record, full: bool = True) -> str:
         quote = TRIANGLE_QUOTES[row["case"]]
         line = [row["title"], f"**{milliseconds(row['total.ms'])}**"]
         if full:
-            line += [_spread(row, "total"), milliseconds(row["raster.ms"]), f"{row['times_floor']:.1f}"]
-        line.append(_verdict(row["total.ms"], quote.must_reach))
+            line += [_spread(row, "total"), milliseconds(row["raster.ms"]), f"{row['times_floor']:.1f} x"]
+        line.append(_verdict(record, row["total.ms"], quote.must_reach))
         quoted = (quote.one_path, quote.two_paths, quote.nvdiffrast, quote.opengl)
         line += ["" if q is None else f"{q:g}" for q in quoted]
         if full:
             for name in ("large_triangles", "bin_entries"):
                 line.append(_count(row[f"raster.{name}"]) if f"raster.{name}" in row else "")
         rows.append(line)
-    text = _markdown(columns, rows)
-    return f"{text}\n\n\\* quoted: measured earlier on one H200 with prototypes and with the other programs, not in this run."
+    note = "\\* quoted: measured earlier on one H200, with prototypes and with the other programs, not in this run."
+    return f"{_markdown(columns, rows)}\n\n{note}"
 
 
 def _tiles(record: Record, full: bool = True) -> str:
@@ -129,39 +131,41 @@ def _lights(record: Record) -> str:
     for row in record["rows"]:
         rows.append([
             _count(row["lights"]), f"{row['mean']:g}", f"{row['lit.mean']:.1f}", str(row["lit.max"]),
-            milliseconds(row["light_culling.ms"]), milliseconds(row["shade.ms"]), f"**{milliseconds(row['total.ms'])}**",
-            _spread(row, "total"), _verdict(row["total.ms"], LIGHT_TARGETS_MS.get((row["lights"], int(row["mean"])))),
+            milliseconds(row["light_culling.ms"]), milliseconds(row["shade.ms"]),
+            f"**{milliseconds(row['total.ms'])}**", _spread(row, "total"),
+            _verdict(record, row["total.ms"], LIGHT_TARGETS_MS.get((row["lights"], int(row["mean"])))),
             milliseconds(row["brute_force.ms"]) if "brute_force.ms" in row else "",
         ])  # fmt: skip
-    text = _markdown(columns, rows)
-    return f"{text}\n\nTotal: staging, culling and shading as one graph; brute force: the same with every light everywhere.\n\n\\* on one H200 at 1920x1080."
+    note = "Total: staging, culling and shading as one graph; brute force: the same with every light everywhere."
+    return f"{_markdown(columns, rows)}\n\n{note}\n\n\\* on one H200 at 1920x1080."
 
 
 def _frames(record: Record) -> str:
-    columns = ["frame", ">ms", ">5 % to 95 %", ">must reach*", ">× memory floor", ">lit lights", ">memory", ">scene"]
+    columns = ["frame", ">ms", ">5 % to 95 %", ">must reach*", ">of memory floor", ">lit lights", ">memory", ">scene"]
     rows = []
     for row in record["rows"]:
         target = FRAME_TARGETS.get(row["case"])
         rows.append([
             row["title"], f"**{milliseconds(row['frame.ms'])}**", _spread(row, "frame"),
-            _verdict(row["frame.ms"], target.ms if target else None), f"{row['frame.times_floor']:.1f}",
-            f"{row['lit.mean']:.1f}", _memory(row), _megabytes(row["scene.bytes"]),
+            _verdict(record, row["frame.ms"], target.ms if target else None), f"{row['frame.times_floor']:.1f} x",
+            f"{row['lit.mean']:.1f}", _memory(record, row), _megabytes(row["scene.bytes"]),
         ])  # fmt: skip
-    text = _markdown(columns, rows)
-    return f"{text}\n\nLit lights: mean at a pixel with a surface. Memory: on the device, beside the scene.\n\n\\* for the device the figure is stated for: one H200, or two CPU cores."
+    note = "Lit lights: mean at a pixel with a surface. Memory: on the device, beside the scene."
+    stated = "\\* on the machine the figure is stated for: one H200, or two CPU cores."
+    return f"{_markdown(columns, rows)}\n\n{note}\n\n{stated}"
 
 
-def _memory(row: Row) -> str:
+def _memory(record: Record, row: Row) -> str:
     target = FRAME_TARGETS.get(row["case"])
     text = _megabytes(row["memory.bytes"])
     if target is None or target.memory_bytes is None:
         return text
-    return f"{text} (≤ {target.memory_bytes / 1e6:g} {'✓' if row['memory.bytes'] <= target.memory_bytes else '✗'})"
+    return f"{text} ({_verdict(record, row['memory.bytes'] / 1e6, target.memory_bytes / 1e6)})"
 
 
 def _frame(record: Record) -> str:
     parts = [_frames(record)]
-    columns = ["pass", ">ms", ">5 % to 95 %", ">moved", ">floor ms", ">× floor"]
+    columns = ["pass", ">ms", ">5 % to 95 %", ">moved", ">floor ms", ">of floor"]
     for row in record["rows"]:
         lines = [_pass_line(row, f"pass.{name}", f"`{name}`") for name in pass_names(row)]
         lines.append(["sum of passes", milliseconds(row["passes.sum_ms"]), "", "", "", ""])
@@ -175,7 +179,7 @@ def _frame(record: Record) -> str:
 
 
 def _pass_line(row: Row, key: str, label: str) -> list[str]:
-    factor = f"{row[f'{key}.times_floor']:.1f}" if f"{key}.times_floor" in row else ""
+    factor = f"{row[f'{key}.times_floor']:.1f} x" if f"{key}.times_floor" in row else ""
     return [
         label, milliseconds(row[f"{key}.ms"]), _spread(row, key), _megabytes(row[f"{key}.bytes"]),
         milliseconds(row[f"{key}.floor_ms"]), factor,
@@ -187,7 +191,9 @@ def _host(record: Record) -> str:
     for row in record["rows"]:
         low, high = f"{row['host.us_p5']:,.1f}", f"{row['host.us_p95']:,.1f}"
         target = HOST_TARGET_US if row["figure"] == "render" and not record["device"].startswith("CPU") else None
-        rows.append([row["text"], f"**{row['host.us']:,.1f}**", f"{low} to {high}", _verdict(row["host.us"], target)])
+        rows.append(
+            [row["text"], f"**{row['host.us']:,.1f}**", f"{low} to {high}", _verdict(record, row["host.us"], target)]
+        )
     return _markdown(["figure", ">median µs", ">5 % to 95 %", ">must reach"], rows)
 
 

@@ -41,7 +41,7 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
     rows: list[dict[str, Any]] = []
     heat_map: dict[str, Any] = {}
     for lights in QUICK_LIGHTS if quick else TILE_LIGHTS:
-        scene = many_lights(lights, MEAN)
+        scene = many_lights(lights, MEAN, quick=quick)
         for name, size in (QUICK_RESOLUTIONS if quick else RESOLUTIONS).items():
             renderer = open_scene(scene, size, device, ("display",))
             for tile in QUICK_TILES if quick else TILE_SIZES:

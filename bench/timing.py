@@ -8,6 +8,7 @@ resolution of half a microsecond. Warm-up is outside: it loads, fills caches and
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -231,7 +232,7 @@ def _device_times(device: wp.Device, run: Callable[[], Any], repeats: int) -> li
             run()
         stream.record_event(event)
     wp.synchronize_device(device)
-    return [wp.get_event_elapsed_time(a, b) / batch for a, b in zip(events[:-1], events[1:], strict=True)]
+    return [wp.get_event_elapsed_time(a, b) / batch for a, b in itertools.pairwise(events)]
 
 
 def _host_times(run: Callable[[], Any], repeats: int) -> list[float]:
