@@ -13,10 +13,10 @@ import functools
 
 import warp as wp
 
+from .coverage import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, make_draw
+from .intrinsics import float_bits
 from .projection import pixel_index
-from .raster import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, make_draw
-from .projection import float_bits
-from .structs import ALL_BITS, BIN_TILE, BIN_TILE_AREA, LargeTriangle, RasterTarget, View
+from .structs import ALL_BITS, BIN_TILE, BIN_TILE_AREA, MODULE_OPTIONS, LargeTriangle, RasterTarget, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -53,7 +53,7 @@ def edge_misses(a: wp.vec2i, b: wp.vec2i, x: wp.int32, y: wp.int32, dx: wp.int32
 
 @wp.func
 def edge_in_tile(a: wp.vec2i, b: wp.vec2i, x: wp.int32, y: wp.int32):
-    """q of an edge at a tile's first pixel centre: inside is q + a i + b j >= 0 for pixel steps i and j.
+    """Q of an edge at a tile's first pixel centre: inside is q + a i + b j >= 0 for pixel steps i and j.
 
     The threshold is folded in before the shift. An edge that crosses the tile has |q| <= 15 (|a| + |b|) < 2^31.
     """
@@ -125,7 +125,7 @@ def make_bin_kernels(depth_views: bool, behind: bool):
                         draw_direct(view, target, t, low, high)
             k += lanes
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def bin_triangles_kernel(
         # Frame
         views: wp.array[View],
@@ -147,7 +147,7 @@ def make_bin_kernels(depth_views: bool, behind: bool):
             bin_triangle(views[t.view], t, index, lane, lanes, filling, out_bins, target)
             index += stride
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def draw_bins_kernel(
         # Frame
         views: wp.array[View],

@@ -163,9 +163,12 @@ def prepare_pairs_kernel(
     first: wp.int32,
     # Out
     out_pairs: wp.array[Pair],
+    out_work: WorkList,
 ):
-    """Combine each view with each instance it may see, cameras subtracted in float64."""
+    """Combine each view with each instance it may see, cameras subtracted in float64; empty the work list."""
     row, rank = wp.tid()
+    if row == 0 and rank < 2:
+        out_work.counts[rank] = 0
     v = row + first
     view = views[v]
     if rank >= view.shared_instances + view.own_count:

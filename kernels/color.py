@@ -4,7 +4,7 @@ Every curve takes radiance clamped to [0, 65504], so that no finite input can le
 reinhard: x / (1 + x) per channel (Reinhard et al. 2002). aces: Narkowicz 2015, "ACES Filmic Tone Mapping Curve",
 x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14). pbr_neutral: Khronos PBR Neutral 1.0 (KhronosGroup/ToneMapping),
 which keeps base colours up to 0.8 and compresses highlights towards white. off: clamp to [0, 1].
-The encoding to 8 bits compares with the exact decoded thresholds between codes, so it needs no power function and
+The encoding to 8 bits decides by the exact decoded thresholds between codes and guesses by square roots alone, so it
 gives the same byte on every device (IEC 61966-2-1; Direct3D functional specification 3.2.3.8).
 """
 
@@ -18,19 +18,18 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 CURVES = ("off", "reinhard", "aces", "pbr_neutral")
-#: Entries of the first guess of a code, indexed by the square root of the value.
-GUESS_COUNT = 1024
+#: sRGB code / 255 for values above 0.0031308 as a sum of their 2nd, 4th and 8th roots, themselves and a constant:
+#: a least-squares fit of ours, within 0.0083 codes everywhere.
+FIT = (0.6549044195148432, 0.6865497355179032, -0.316625421751976, -0.020348439599788437, -0.004512581755678868)
+#: Distance from a code's border within which the fit asks the exact thresholds [codes].
+DOUBT = 0.03
 
 
-def srgb_tables() -> tuple[np.ndarray, np.ndarray]:
-    """(thresholds, guesses): least linear value of each code 0..255, then inf; and a code never too large per root bin."""
+def srgb_thresholds() -> np.ndarray:
+    """(257,) float32: least linear value of each code 0 to 255, then inf."""
     code = (np.arange(1, 256) - 0.5) / 255.0
     linear = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-    thresholds = np.concatenate([[0.0], linear, [np.inf]]).astype(np.float32)
-    # One part in 1e5 below the bin's lower end covers the rounding of the square root.
-    low = (np.arange(GUESS_COUNT) / (GUESS_COUNT - 1)) ** 2 * (1.0 - 1e-5)
-    guesses = np.searchsorted(thresholds[1:256], low, side="right").astype(np.uint8)
-    return thresholds, guesses
+    return np.concatenate([[0.0], linear, [np.inf]]).astype(np.float32)
 
 
 @wp.func
@@ -94,10 +93,24 @@ def tone_curve(name: str):
 
 
 @wp.func
-def srgb_code(value: wp.float32, thresholds: wp.array[wp.float32], guesses: wp.array[wp.uint8]):
-    """8-bit sRGB code of a linear value in [0, 1], rounded exactly."""
+def srgb_code(value: wp.float32, thresholds: wp.array[wp.float32]):
+    """8-bit sRGB code of a linear value in [0, 1], rounded exactly; one read in seventeen values."""
     v = wp.clamp(value, 0.0, 1.0)
-    code = wp.int32(guesses[wp.int32(wp.sqrt(v) * wp.float32(1023.0))])
-    while v >= thresholds[code + 1]:
-        code += 1
-    return wp.uint8(code)
+    encoded = v * 12.92
+    if v > 0.0031308:
+        r2 = wp.sqrt(v)
+        r4 = wp.sqrt(r2)
+        r8 = wp.sqrt(r4)
+        encoded = (
+            r2 * wp.static(FIT[0]) + r4 * wp.static(FIT[1]) + r8 * wp.static(FIT[2]) + v * wp.static(FIT[3])
+        ) + wp.static(FIT[4])
+    scaled = encoded * 255.0 + 0.5
+    code = wp.int32(scaled)
+    rest = scaled - wp.float32(code)
+    if rest < wp.static(DOUBT):
+        if v < thresholds[code]:
+            code -= 1
+    elif rest > wp.static(1.0 - DOUBT):
+        if v >= thresholds[code + 1]:
+            code += 1
+    return wp.uint32(code)

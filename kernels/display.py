@@ -7,12 +7,15 @@ import functools
 import warp as wp
 
 from .color import CURVES, clamp_radiance, srgb_code, tone_curve
+from .intrinsics import load_vec4i, unpack_half3
 from .projection import pixel_in_block, pixel_index
-from .structs import PIXEL_BLOCK_AREA, View
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
+#: Alpha 255 in the highest byte.
+OPAQUE = wp.constant(wp.uint32(0xFF000000))
 #: (tone curve, half radiance): what CI compiles.
 VARIANTS = [(curve, half) for curve in CURVES for half in (False, True)]
 
@@ -27,23 +30,22 @@ def make_display_kernel(curve: str, half: bool):
     """
     tone = tone_curve(curve)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def display_kernel(
         # Frame
         views: wp.array[View],
         blocks: wp.array[wp.vec4i],
         # In
-        radiance: wp.array[wp.vec4h],
+        radiance: wp.array[wp.uint64],
         color: wp.array[wp.vec3],
         thresholds: wp.array[wp.float32],
-        guesses: wp.array[wp.uint8],
         # Params
         first: wp.int32,
         # Out
-        out_display: wp.array[wp.vec4ub],
+        out_display: wp.array[wp.uint32],
     ):
         thread = wp.tid() + first
-        block = blocks[thread // PIXEL_BLOCK_AREA]
+        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
         place = pixel_in_block(thread)
         view = views[block[0]]
         x, y = block[1] + place[0], block[2] + place[1]
@@ -52,14 +54,14 @@ def make_display_kernel(curve: str, half: bool):
         i = pixel_index(view, x, y)
         value = wp.vec3()
         if wp.static(half):
-            h = radiance[i]
-            value = wp.vec3(wp.float32(h[0]), wp.float32(h[1]), wp.float32(h[2]))
+            value = unpack_half3(radiance[i])
         else:
             value = color[i]
         mapped = tone(clamp_radiance(value * view.exposure))
-        r = srgb_code(mapped[0], thresholds, guesses)
-        g = srgb_code(mapped[1], thresholds, guesses)
-        b = srgb_code(mapped[2], thresholds, guesses)
-        out_display[i] = wp.vec4ub(r, g, b, wp.uint8(255))
+        r = srgb_code(mapped[0], thresholds)
+        g = srgb_code(mapped[1], thresholds)
+        b = srgb_code(mapped[2], thresholds)
+        # One store a pixel: red in the lowest byte.
+        out_display[i] = r | (g << wp.uint32(8)) | (b << wp.uint32(16)) | OPAQUE
 
     return display_kernel

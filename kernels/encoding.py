@@ -12,7 +12,7 @@ import functools
 
 import warp as wp
 
-from .projection import bits_float, float_bits
+from .intrinsics import bits_float, float_bits
 from .structs import MODEL_BLINN_PHONG, MODEL_GGX, MODEL_PHONG, GBuffer
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

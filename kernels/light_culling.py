@@ -13,35 +13,25 @@ import functools
 
 import warp as wp
 
+from .intrinsics import load_vec4, lowest_bit
+from .projection import pixel_index
 from .structs import (
     ALL_BITS,
     LIGHT_DIRECTIONAL,
     LIGHT_SPOT,
+    MODULE_OPTIONS,
     ORTHOGRAPHIC,
     FrameValues,
     LightMasks,
     Lights,
     View,
 )
-from .projection import pixel_index
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
 #: depth bounds used or not: what CI compiles.
 VARIANTS = [(False,), (True,)]
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __ffs(bits) - 1;
-#else
-    return __builtin_ctz(bits);
-#endif
-""")
-def lowest_bit(bits: wp.uint32) -> wp.int32:
-    """Index of the lowest set bit; bits must not be 0."""
-    ...
 
 
 @wp.struct
@@ -119,7 +109,7 @@ def cone_reaches(volume: TileVolume, apex: wp.vec3, axis: wp.vec3, cosine: wp.fl
 @wp.func
 def light_reaches(view: View, volume: TileVolume, lights: Lights, v: wp.int32, i: wp.int32):
     """Whether a light may reach a tile."""
-    place = lights.position[v * lights.capacity + i]
+    place = load_vec4(lights.position, v * lights.capacity + i)
     reach = place[3]
     if reach < 0.0:
         return False
@@ -226,7 +216,7 @@ def make_light_culling_kernels(depth_bounds: bool):
             return bounds
         return wp.vec2(0.0, 1.0e30)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def coarse_masks_kernel(
         # Frame
         views: wp.array[View],
@@ -255,7 +245,7 @@ def make_light_culling_kernels(depth_bounds: bool):
             bit = wp.uint32(1) << wp.uint32(i & 31)
             wp.atomic_or(out_masks.coarse, t * out_masks.words_per_tile + (i >> 5), bit)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def tile_masks_kernel(
         # Frame
         views: wp.array[View],

@@ -14,6 +14,7 @@ import functools
 import warp as wp
 
 from .clusters import to_double, to_single
+from .intrinsics import load_vec4
 from .structs import (
     LIGHT_DIRECTIONAL,
     LIGHT_POINT,
@@ -160,11 +161,11 @@ def make_arrive(kinds: int, polynomial: bool):
     def arrive(lights: Lights, i: wp.int32, place: wp.vec4, point: wp.vec3):
         result = Arrival()
         to_light = wp.vec3(place[0], place[1], place[2]) - point
-        shape = lights.shape[i]
+        shape = load_vec4(lights.shape, i)
         kind = wp.int32(shape[3])
         if wp.static((kinds & 4) != 0):
             if (kind & 3) == LIGHT_DIRECTIONAL:
-                axis = lights.axis[i]
+                axis = load_vec4(lights.axis, i)
                 result.direction = wp.vec3(-axis[0], -axis[1], -axis[2])
                 if place[3] > 0.0:
                     result.power = 1.0
@@ -187,7 +188,7 @@ def make_arrive(kinds: int, polynomial: bool):
                     power = 1.0 / wp.max(c[0] + c[1] * distance + c[2] * d2, 1.0e-8)
             if wp.static((kinds & 2) != 0):
                 if (kind & 3) == LIGHT_SPOT:
-                    axis = lights.axis[i]
+                    axis = load_vec4(lights.axis, i)
                     cosine = -wp.dot(wp.vec3(axis[0], axis[1], axis[2]), result.direction)
                     angle = wp.clamp(cosine * axis[3] + shape[0], 0.0, 1.0)
                     power *= angle * angle

@@ -10,6 +10,7 @@ import functools
 import warp as wp
 
 from .interpolation import barycentric, mix2, mix4, relative_vertex
+from .projection import position_of
 from .structs import FLAG_COLORS, Geometry, Material, Pair, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -38,9 +39,9 @@ def make_discard():
     ):
         px, py = wp.float32(x) + 0.5, wp.float32(y) + 0.5
         weights = barycentric(
-            relative_vertex(view, pair, geometry.positions[v[0]], px, py),
-            relative_vertex(view, pair, geometry.positions[v[1]], px, py),
-            relative_vertex(view, pair, geometry.positions[v[2]], px, py),
+            relative_vertex(view, pair, position_of(geometry, v[0]), px, py),
+            relative_vertex(view, pair, position_of(geometry, v[1]), px, py),
+            relative_vertex(view, pair, position_of(geometry, v[2]), px, py),
         ).weight
         alpha = material.base_color[3]
         if (geometry.instances[pair.instance].flags & FLAG_COLORS) != 0:

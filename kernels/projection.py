@@ -9,27 +9,17 @@ from __future__ import annotations
 
 import warp as wp
 
+from .intrinsics import load_vec4
 from .structs import (
     ORTHOGRAPHIC,
     PIXEL_BLOCK,
     PIXEL_BLOCK_AREA,
+    Geometry,
     Pair,
     View,
 )
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-
-@wp.func_native("return *reinterpret_cast<wp::uint32*>(&value);")
-def float_bits(value: wp.float32) -> wp.uint32:
-    """Reinterpret a float's bits as an integer; monotone for values >= 0."""
-    ...
-
-
-@wp.func_native("return *reinterpret_cast<wp::float32*>(&bits);")
-def bits_float(bits: wp.uint32) -> wp.float32:
-    """Reinterpret an integer's bits as a float."""
-    ...
 
 
 @wp.func
@@ -43,6 +33,20 @@ def pixel_in_block(thread: wp.int32):
 def pixel_index(view: View, x: wp.int32, y: wp.int32):
     """Index of a pixel in the arena; arenas are below 2^31 pixels, which the plan checks."""
     return wp.int32(view.pixel_offset + wp.int64(y) * wp.int64(view.row_pitch)) + x
+
+
+@wp.func
+def position_of(geometry: Geometry, vertex: wp.int32):
+    """Object-space position of a vertex."""
+    p = load_vec4(geometry.positions, vertex)
+    return wp.vec3(p[0], p[1], p[2])
+
+
+@wp.func
+def normal_of(geometry: Geometry, vertex: wp.int32):
+    """Object-space normal of a vertex; 0 where the face's own is wanted."""
+    n = load_vec4(geometry.normals, vertex)
+    return wp.vec3(n[0], n[1], n[2])
 
 
 @wp.func

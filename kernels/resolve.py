@@ -10,18 +10,20 @@ import functools
 
 import warp as wp
 
+from .clusters import pair_of_instance
 from .encoding import FLAG_EMISSIVE, Surface, make_gbuffer_codec
 from .interpolation import Barycentric, barycentric, mix2, mix3, mix4, relative_vertex
-from .clusters import pair_of_instance
-from .projection import bits_float, linear_depth, pixel_in_block, pixel_index, relative_position
+from .intrinsics import bits_float, load_vec4i
+from .projection import linear_depth, normal_of, pixel_in_block, pixel_index, position_of, relative_position
 from .structs import (
     ALL_BITS,
     CLUSTER_SIZE,
     FLAG_COLORS,
     FLAG_SMOOTH,
+    MODULE_OPTIONS,
     PIXEL_BLOCK_AREA,
-    Geometry,
     GBuffer,
+    Geometry,
     Layers,
     Material,
     Pair,
@@ -143,7 +145,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         if wp.static("triangle_id" in layers):
             out.triangle_id[i] = -1
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def resolve_kernel(
         # Frame
         views: wp.array[View],
@@ -161,7 +163,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         out_layers: Layers,
     ):
         thread = wp.tid() + first
-        block = blocks[thread // PIXEL_BLOCK_AREA]
+        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
         place = pixel_in_block(thread)
         view = views[block[0]]
         x, y = block[1] + place[0], block[2] + place[1]
@@ -177,10 +179,10 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         instance_slot = geometry.id_blocks[wp.int32(identity / wp.uint32(CLUSTER_SIZE))]
         instance = geometry.instances[instance_slot]
         triangle = wp.int32(identity - instance.id_base)
-        v = geometry.triangles[instance.triangle_first + triangle]
+        v = load_vec4i(geometry.triangles, instance.triangle_first + triangle)
         pair = pairs[pair_of_instance(view, instance_slot)]
         px, py = wp.float32(x) + 0.5, wp.float32(y) + 0.5
-        p0, p1, p2 = geometry.positions[v[0]], geometry.positions[v[1]], geometry.positions[v[2]]
+        p0, p1, p2 = position_of(geometry, v[0]), position_of(geometry, v[1]), position_of(geometry, v[2])
         b = barycentric(
             relative_vertex(view, pair, p0, px, py),
             relative_vertex(view, pair, p1, px, py),
@@ -190,7 +192,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         # The face's own normal, where there is none to interpolate; y down makes front faces negative.
         normal = wp.vec3()
         if (instance.flags & FLAG_SMOOTH) != 0:
-            normal = mix3(b.weight, geometry.normals[v[0]], geometry.normals[v[1]], geometry.normals[v[2]])
+            normal = mix3(b.weight, normal_of(geometry, v[0]), normal_of(geometry, v[1]), normal_of(geometry, v[2]))
         if wp.dot(normal, normal) < 1.0e-12:
             normal = scaled_normal(wp.cross(p1 - p0, p2 - p0))
         mirrored = wp.where(pair.flip != 0, -1.0, 1.0)
@@ -264,7 +266,7 @@ def depth_layer_kernel(
 ):
     """Linear view depth [m] straight from the keys, +inf on the background."""
     thread = wp.tid() + first
-    block = blocks[thread // PIXEL_BLOCK_AREA]
+    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
     place = pixel_in_block(thread)
     view = views[block[0]]
     x, y = block[1] + place[0], block[2] + place[1]

@@ -12,10 +12,10 @@ import warp as wp
 
 from .brdf import MIN_N_DOT_V, diffuse_albedo, make_reflect
 from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
-from .light_culling import lowest_bit
+from .intrinsics import load_vec4, load_vec4i, lowest_bit, pack_half4
 from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
-from .structs import PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -36,7 +36,7 @@ VARIANTS = [
 class ShadeTarget:
     """Where lighting goes."""
 
-    radiance: wp.array[wp.vec4h]  # behind the display, where float32 is not asked for
+    radiance: wp.array[wp.uint64]  # half4, behind the display, where float32 is not asked for
     color: wp.array[wp.vec3]
     diffuse: wp.array[wp.vec3]
     specular: wp.array[wp.vec3]
@@ -61,7 +61,7 @@ def store_limit(v: wp.vec3, limit: wp.float32):
 def to_half(v: wp.vec3):
     """Radiance as half4, clamped to half's range before the cast."""
     c = store_limit(v, 65504.0)
-    return wp.vec4h(wp.float16(c[0]), wp.float16(c[1]), wp.float16(c[2]), wp.float16(1.0))
+    return pack_half4(c[0], c[1], c[2])
 
 
 @functools.cache
@@ -95,7 +95,7 @@ def make_shade_kernel(
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
 
-    @wp.kernel(module="unique", enable_backward=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def shade_kernel(
         # Frame
         views: wp.array[View],
@@ -112,7 +112,7 @@ def make_shade_kernel(
         out_target: ShadeTarget,
     ):
         thread = wp.tid() + first
-        block = blocks[thread // PIXEL_BLOCK_AREA]
+        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
         place = pixel_in_block(thread)
         view = views[block[0]]
         x, y = block[1] + place[0], block[2] + place[1]
@@ -142,10 +142,10 @@ def make_shade_kernel(
                     while bits != wp.uint32(0):
                         light = word * 32 + lowest_bit(bits)
                         bits = bits & (bits - wp.uint32(1))
-                        a = arrive(lights, light, lights.position[base + light], point)
+                        a = arrive(lights, light, load_vec4(lights.position, base + light), point)
                         n_dot_l = wp.dot(s.normal, a.direction)
                         if a.power > 0.0 and n_dot_l > 0.0:
-                            c = lights.color[light]
+                            c = load_vec4(lights.color, light)
                             irradiance = wp.vec3(c[0], c[1], c[2]) * (a.power * n_dot_l)
                             f = reflect(s, a.direction, v, n_dot_l, n_dot_v)
                             diffuse += wp.cw_mul(f.diffuse, irradiance)

@@ -13,6 +13,10 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+#: Options of every specialised kernel's own module, which does not take its file's: without fused multiply-adds CPU and
+#: CUDA agree to the bit.
+MODULE_OPTIONS = {"enable_backward": False, "fuse_fp": False}
+
 #: Side of the square of pixels that 64 consecutive threads of a pixel pass cover.
 PIXEL_BLOCK = wp.constant(8)
 PIXEL_BLOCK_AREA = wp.constant(64)
@@ -146,11 +150,11 @@ class Cluster:
 class Geometry:
     """All meshes of the scene, one after the other. Vertex indices are scene-wide."""
 
-    positions: wp.array[wp.vec3]
-    normals: wp.array[wp.vec3]
+    positions: wp.array[wp.vec4]  # fourth component unused: one load a vertex
+    normals: wp.array[wp.vec4]
     uvs: wp.array[wp.vec2]
     colors: wp.array[wp.vec4]
-    triangles: wp.array[wp.vec3i]  # mesh order
+    triangles: wp.array[wp.vec4i]  # mesh order: three vertices, fourth component unused
     cluster_triangles: wp.array[wp.vec4i]  # cluster order: three vertices and the mesh-local triangle id
     clusters: wp.array[Cluster]
     slots: wp.array[wp.vec2i]  # (instance, cluster), sorted by world

@@ -149,7 +149,7 @@ class Camera(Record):
 
     @classmethod
     def from_matrix(cls, camera_to_world: Any, **fields: Any) -> Camera:
-        """Take the pose from a 4x4 camera-to-world matrix in this package's axes (-Z forward, +Y up); scale is dropped."""
+        """Take the pose from a 4x4 camera-to-world matrix in our axes (-Z forward, +Y up); scale is dropped."""
         m = check_array("Camera.from_matrix", camera_to_world, (4, 4), np.float64)
         x, y = m[:3, 0], m[:3, 1]
         norm_x = np.linalg.norm(x)
@@ -162,8 +162,8 @@ class Camera(Record):
         return cls(position=tuple(m[:3, 3].tolist()), rotation=rows, **fields)
 
     @classmethod
-    def from_intrinsics(cls, K: Any, width: int, height: int, pose: Any = None, **fields: Any) -> Camera:  # noqa: N803
-        """Take a calibrated camera in the OpenCV convention (+Z forward, +Y down, origin at the corner of pixel (0, 0)).
+    def from_intrinsics(cls, K: Any, width: int, height: int, pose: Any = None, **fields: Any) -> Camera:
+        """Take a calibrated camera in the OpenCV convention (+Z forward, +Y down).
 
         OpenCV puts pixel centres at whole numbers; half a pixel is added to the principal point.
 

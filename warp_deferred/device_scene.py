@@ -156,11 +156,11 @@ class DeviceScene:
         if not parts["clusters"]:
             joined["clusters"] = np.zeros(0, np.dtype(structs.Cluster.numpy_dtype()))
         g = self.geometry
-        g.positions = self._put("positions", joined["positions"], wp.vec3)
-        g.normals = self._put("normals", joined["normals"], wp.vec3)
+        g.positions = self._put("positions", _padded(joined["positions"], np.float32), wp.vec4)
+        g.normals = self._put("normals", _padded(joined["normals"], np.float32), wp.vec4)
         g.uvs = self._put("uvs", joined["uvs"], wp.vec2)
         g.colors = self._put("colors", joined["colors"], wp.vec4)
-        g.triangles = self._put("triangles", joined["triangles"].astype(np.int32), wp.vec3i)
+        g.triangles = self._put("triangles", _padded(joined["triangles"], np.int32), wp.vec4i)
         g.cluster_triangles = self._put("cluster_triangles", joined["rows"].astype(np.int32), wp.vec4i)
         g.clusters = self._put("clusters", joined["clusters"], structs.Cluster)
 
@@ -251,6 +251,13 @@ class DeviceScene:
             device=self.device,
             block_dim=cluster_kernels.BLOCK_DIM,
         )
+
+
+def _padded(rows: np.ndarray, dtype: type) -> np.ndarray:
+    """(n, 3) rows with a zero fourth column, so that a kernel loads a row in one access."""
+    out = np.zeros((len(rows), 4), dtype)
+    out[:, :3] = rows
+    return out
 
 
 def as_float_array(value: object, device: wp.Device) -> wp.array:

@@ -42,7 +42,8 @@ class LightStore:
     def __init__(self, capacity: int, views: int, device: wp.Device) -> None:
         if capacity * views > MAX_STAGED:
             raise CapacityError(
-                f"lights: expected lights x views of at most {MAX_STAGED}, got {capacity} x {views}; render fewer views at a time"
+                f"lights: expected lights x views of at most {MAX_STAGED}, got {capacity} x {views}; "
+                "render fewer views at a time"
             )
         self.capacity, self.device = capacity, device
         self.source = structs.LightSource()

@@ -119,6 +119,18 @@ def is_device_array(value: Any) -> bool:
     )
 
 
+_DIRECTIONAL = {
+    "color": (3, np.float32), "intensity": (0, np.float32), "casts_shadow": (0, np.bool_), "world": (0, np.int32),
+    "direction": (3, np.float32),
+}  # fmt: skip
+_POINT = {
+    "color": (3, np.float32), "intensity": (0, np.float32), "casts_shadow": (0, np.bool_), "world": (0, np.int32),
+    "position": (3, np.float64), "range": (0, np.float32), "attenuation": (0, np.int32),
+    "coefficients": (3, np.float32), "source_radius": (0, np.float32),
+}  # fmt: skip
+_ANGLES = {"direction": (3, np.float32), "inner_angle": (0, np.float32), "outer_angle": (0, np.float32)}
+
+
 class LightGroup:
     """All lights of one kind, field by field, as arrays.
 
@@ -128,31 +140,11 @@ class LightGroup:
     the same length binds it: the renderer copies it on the device before every frame and never reads it back.
     """
 
-    #: field -> (columns; 0 for a scalar, dtype)
+    #: kind -> field -> (columns; 0 for a scalar, dtype)
     FIELDS: ClassVar[dict[str, dict[str, tuple[int, type]]]] = {
-        "directional": {
-            "color": (3, np.float32),
-            "intensity": (0, np.float32),
-            "casts_shadow": (0, np.bool_),
-            "world": (0, np.int32),
-            "direction": (3, np.float32),
-        },
-    }
-    FIELDS["point"] = {
-        "color": (3, np.float32),
-        "intensity": (0, np.float32),
-        "casts_shadow": (0, np.bool_),
-        "world": (0, np.int32),
-        "position": (3, np.float64),
-        "range": (0, np.float32),
-        "attenuation": (0, np.int32),
-        "coefficients": (3, np.float32),
-        "source_radius": (0, np.float32),
-    }
-    FIELDS["spot"] = FIELDS["point"] | {
-        "direction": (3, np.float32),
-        "inner_angle": (0, np.float32),
-        "outer_angle": (0, np.float32),
+        "point": _POINT,
+        "spot": _POINT | _ANGLES,
+        "directional": _DIRECTIONAL,
     }
     DYNAMIC: ClassVar[tuple[str, ...]] = ("position", "direction", "color", "intensity", "range")
 
@@ -168,9 +160,7 @@ class LightGroup:
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name not in self.FIELDS[self._kind]:
-            raise AttributeError(
-                f"{self._kind} lights have no field {name!r}; fields: {', '.join(self.FIELDS.get(self.__dict__.get('_kind', ''), ()))}"
-            )
+            raise AttributeError(f"{self._kind} lights have no field {name!r}")
         if name in self._bound:
             return self._bound[name]
         view = self._arrays[name].view()

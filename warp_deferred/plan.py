@@ -130,8 +130,8 @@ class Plan:
         for k, stage in enumerate(self.passes):
             for name, buffer in stage.writes().items():
                 if buffer.dtype is not None:
-                    buffers[name], born[name] = buffer, k
-                    dies[name] = len(self.passes) if buffer.lasting else k
+                    buffers[name], born[name] = buffer, k if self.request.share_memory else 0
+                    dies[name] = len(self.passes) if buffer.lasting or not self.request.share_memory else k
             for name in stage.reads():
                 dies[name] = max(dies.get(name, k), k)
         transient = [n for n in buffers if n not in self.request.outputs]
@@ -149,16 +149,16 @@ class Plan:
         for name in self.request.outputs:
             buffer = buffers[name]
             channels[name] = wp.zeros(max(buffer.count, 1), dtype=buffer.dtype, device=device)
-            self.outputs[name] = self._as_image(channels[name])
+            self.outputs[name] = self._as_image(channels[name], buffer.public or buffer.dtype)
         self.memory = {n: sizes[n] for n in buffers}
         self.bytes = total + sum(sizes[n] for n in self.outputs)
 
-    def _as_image(self, array: wp.array) -> wp.array:
+    def _as_image(self, array: wp.array, dtype: type) -> wp.array:
         sizes = [s for s in self.layout.sizes if not s.depth_only]
         if len({(s.width, s.height) for s in sizes}) != 1:
             return array
         shape = (len(sizes), sizes[0].height, sizes[0].width)
-        return wp.array(ptr=array.ptr, dtype=array.dtype, shape=shape, device=array.device, copy=False)
+        return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device, copy=False)
 
     def replay(self) -> None:
         """Run the frame; the first call on CUDA captures it."""

@@ -32,6 +32,30 @@ def _pool(threads: int) -> concurrent.futures.ThreadPoolExecutor:
     return _pools[threads]
 
 
+class _Command:
+    """One launch: issued as it is under capture, recorded once and replayed on the CPU."""
+
+    __slots__ = ("_arguments", "_recorded")
+
+    def __init__(
+        self, kernel: Any, dims: list[int], inputs: list[Any], outputs: list[Any], device: Any, block: int
+    ) -> None:
+        self._arguments = {
+            "kernel": kernel, "dim": dims, "inputs": inputs, "outputs": outputs, "device": device, "block_dim": block,
+            "record_tape": False,
+        }  # fmt: skip
+        self._recorded: Any = None
+
+    def record(self) -> None:
+        self._recorded = wp.launch(**self._arguments, record_cmd=True)
+
+    def __call__(self) -> None:
+        if self._recorded is not None:
+            self._recorded.launch()
+        else:
+            wp.launch(**self._arguments)
+
+
 @dataclasses.dataclass
 class Section:
     """The commands of one pass: steps in order, each a list of callables that may run side by side."""
@@ -50,7 +74,7 @@ class Program:
     """
 
     def __init__(self, device: wp.Device, threads: int) -> None:
-        self.device, self.threads = device, threads
+        self.device, self.threads = device, max(1, threads)
         self.sections: list[Section] = []
         self.kernels: list[tuple[Any, int]] = []
         self._graph: Any = None
@@ -110,36 +134,12 @@ class Program:
 
     def _command(
         self, kernel: Any, dims: list[int], inputs: list[Any], outputs: list[Any], block_dim: int, tiled: bool
-    ) -> Any:
-        if self.device.is_cuda:
-            if tiled:
-                dims = [*dims, block_dim]
-
-            def run() -> None:
-                wp.launch(
-                    kernel,
-                    dim=dims,
-                    inputs=inputs,
-                    outputs=outputs,
-                    device=self.device,
-                    block_dim=block_dim,
-                    record_tape=False,
-                )
-
-            return run
+    ) -> _Command:
         if tiled:
             # The CPU backend runs a block as one lane.
-            dims = [*dims, 1]
-        command = wp.launch(
-            kernel,
-            dim=dims,
-            inputs=inputs,
-            outputs=outputs,
-            device=self.device,
-            block_dim=1 if tiled else block_dim,
-            record_cmd=True,
-        )
-        return command.launch
+            block_dim = block_dim if self.device.is_cuda else 1
+            dims = [*dims, block_dim]
+        return _Command(kernel, dims, inputs, outputs, self.device, block_dim)
 
     def run_section(self, section: Section) -> None:
         """Run one pass's steps directly."""
@@ -156,15 +156,19 @@ class Program:
         """Compile and load every kernel the program launches, so that capturing and replaying never do."""
         pending: dict[tuple[str, int], Any] = {}
         for kernel, block_dim in self.kernels:
-            pending[(kernel.module.name, 1 if self.device.is_cpu else block_dim)] = (kernel, block_dim)
-        for done, ((name, _), (kernel, block_dim)) in enumerate(pending.items()):
+            # Without cooperative CPU blocks a launch on the CPU is resolved to a block of one.
+            size = 1 if self.device.is_cpu and not wp.config.enable_cpu_blocks else block_dim
+            pending[(kernel.module.name, size)] = kernel
+        for done, ((_, block_dim), kernel) in enumerate(pending.items()):
             if progress:
-                progress(kernel.key.removesuffix("_kernel"), done, len(pending))
-            kernel.module.load(self.device, block_dim=block_dim) if self.device.is_cuda else kernel.module.load(
-                self.device
-            )
+                progress(kernel.key.split("__")[-1].removesuffix("_kernel"), done, len(pending))
+            kernel.module.load(self.device, block_dim)
         if progress:
             progress("", len(pending), len(pending))
+        if self.device.is_cpu:
+            for command in (c for section in self.sections for step in section.steps for c in step):
+                if isinstance(command, _Command):
+                    command.record()
 
     def capture(self) -> None:
         """On CUDA: record all sections into one graph."""

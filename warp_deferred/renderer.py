@@ -47,6 +47,8 @@ class Renderer:
         outputs: Names of the outputs wanted, see `warp_deferred.channels.OUTPUTS`.
         settings: How accurately; the scene's own settings if left out.
         threads: Host threads on the CPU; the number of cores if left out.
+        share_memory: Let transient buffers share memory; False keeps each whole until the next frame, so that single
+            passes can be looked at and timed by themselves.
 
     Raises:
         InputError: If a size, an output or a setting does not fit.
@@ -63,6 +65,7 @@ class Renderer:
         outputs: Sequence[str] = ("display",),
         settings: Settings | None = None,
         threads: int | None = None,
+        share_memory: bool = True,
     ) -> None:
         if not isinstance(scene, Scene):
             raise input_error(
@@ -85,6 +88,7 @@ class Renderer:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         wanted = cores if threads is None else check_count("Renderer.threads", threads, 1, 256)
         self._threads = 0 if self.device.is_cuda else wanted
+        self._share_memory = bool(share_memory)
         self._plans: dict[Request, Plan] = {}
         self._device_scene: DeviceScene | None = None
         self._lights: dict[tuple[int, int], LightStore] = {}
@@ -94,6 +98,7 @@ class Renderer:
         self._requests: dict[Any, Request] = {}
         self._generation = 0
         self._plan: Plan | None = None
+        self._fast: tuple[Any, ...] | None = None
 
     @property
     def settings(self) -> Settings:
@@ -127,9 +132,9 @@ class Renderer:
         cameras = self._cameras(camera)
         plan = self._look_up(cameras, None)
         resources = plan.resources
-        self._update(cameras)
+        self._update()
         block = resources.frame.begin()
-        plan.packer.write(block, cameras, self._ranges(cameras))
+        plan.packer.write(block, cameras, self._fast[4])
         environment = self.scene.environment
         VALUES.pack_into(
             block,
@@ -152,9 +157,13 @@ class Renderer:
         if tuple(array.shape) != (count, 4, 4):
             raise input_error("render.poses", f"shape ({count}, 4, 4)", f"<shape {tuple(array.shape)}>")
         wp.launch(
-            cluster_kernels.stage_cameras_kernel, dim=count, inputs=[array], outputs=[resources.frame.views], device=self.device,
+            cluster_kernels.stage_cameras_kernel,
+            dim=count,
+            inputs=[array],
+            outputs=[resources.frame.views],
+            device=self.device,
             block_dim=cluster_kernels.BLOCK_DIM,
-        )  # fmt: skip
+        )
 
     def _cameras(self, camera: Camera | Sequence[Camera] | None) -> list[Camera]:
         if camera is None:
@@ -171,14 +180,19 @@ class Renderer:
     def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
         scene = self.scene
         seen = (scene.structure_revision, scene.lights.structure_revision)
+        worlds = tuple([c.world for c in cameras])
+        # The common case, a frame like the last one, must not hash settings or requests.
+        settings = self._settings or scene.settings
+        fast = self._fast
+        if fast is not None and fast[0] == seen and fast[1] == worlds and fast[2] is settings:
+            return fast[3]
         if self._device_scene is None or self._seen[:1] != seen[:1]:
             self._load_scene()
         if self._seen != seen:
             self._features = Features.of(scene)
             self._seen = seen
             self._requests.clear()
-        worlds = tuple(c.world for c in cameras) if len(cameras) > 1 or cameras[0].world >= 0 else len(cameras)
-        key = (worlds, self.settings)
+        key = (worlds, settings)
         request = self._requests.get(key)
         if request is None:
             request = self._requests[key] = self._request(cameras)
@@ -188,11 +202,13 @@ class Renderer:
         if plan is not self._plan:
             self._plans[request] = self._plans.pop(request)
             self._plan = plan
+        self._fast = (seen, worlds, settings, plan, self._ranges(cameras))
         return plan
 
     def _load_scene(self) -> None:
         self._plans.clear()
         self._plan = None
+        self._fast = None
         self._lights.clear()
         self._device_scene = DeviceScene(self.scene, self.device)
         self._revision = self.scene.revision
@@ -214,6 +230,7 @@ class Renderer:
             clusters_per_view=_capacity(slots, scene.cluster_slots),
             scene_key=self._scene_key,
             threads=self._threads,
+            share_memory=self._share_memory,
         )
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
@@ -225,7 +242,7 @@ class Renderer:
         self._plans[request] = Plan(request, self._device_scene, self._lights[key], progress)
         return self._plans[request]
 
-    def _update(self, cameras: list[Camera]) -> None:
+    def _update(self) -> None:
         scene, device_scene = self.scene, self._device_scene
         if self._revision != scene.revision:
             device_scene.update_transforms(scene)

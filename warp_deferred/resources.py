@@ -22,7 +22,7 @@ class FrameBlock:
     The pinned copies form a ring, so that the host can write the next frame while the device still reads the last.
     """
 
-    RING = 4
+    RING_BYTES = 1 << 19
 
     def __init__(self, views: int, device: wp.Device) -> None:
         view_size = np.dtype(structs.View.numpy_dtype()).itemsize
@@ -36,10 +36,12 @@ class FrameBlock:
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
         pinned = device.is_cuda
-        self._slots = [
-            wp.zeros(self.size, dtype=wp.uint8, device="cpu", pinned=pinned) for _ in range(self.RING if pinned else 1)
-        ]
-        self._memory = [memoryview(slot.numpy()).cast("B") for slot in self._slots]
+        # One pinned allocation for all slots: enough that a host far ahead of the device still does not wait.
+        slots = min(1024, max(4, self.RING_BYTES // self.size)) if pinned else 1
+        self._ring = wp.zeros(slots * self.size, dtype=wp.uint8, device="cpu", pinned=pinned)
+        self._slots = [self._ring[k * self.size : (k + 1) * self.size] for k in range(slots)]
+        whole = memoryview(self._ring.numpy()).cast("B")
+        self._memory = [whole[k * self.size : (k + 1) * self.size] for k in range(slots)]
         self._events: list[wp.Event | None] = [None] * len(self._slots)
         self._next = 0
 

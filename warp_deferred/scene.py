@@ -46,7 +46,7 @@ class Mesh:
         normals: (n, 3) float32 unit vectors, or None: `smooth` decides how the renderer makes them.
         uvs: (n, 2) float32, v = 0 at the top of the image, or None.
         colors: (n, 4) float32 linear colour and alpha, or None (white).
-        smooth: Whether missing normals are averaged over the faces at a vertex (weighted by angle) or are each face's own.
+        smooth: Whether missing normals are averaged over the faces at a vertex (weighted by angle) or each face's own.
         origin: (3,) float64 [m], taken out of positions that were handed in far from zero in float64.
     """
 
@@ -197,7 +197,8 @@ class Scene:
         self.settings = Settings()
 
     def __repr__(self) -> str:
-        return f"Scene({self.name!r}, {len(self._instances)} instances, {self.triangle_count} triangles, {len(self.lights)} lights)"
+        counts = f"{len(self._instances)} instances, {self.triangle_count} triangles, {len(self.lights)} lights"
+        return f"Scene({self.name!r}, {counts})"
 
     @property
     def instances(self) -> tuple[Instance, ...]:

@@ -57,7 +57,7 @@ class DisplaySettings(Record):
 
 
 class Settings(Record):
-    """All stages' settings, immutable; `Settings.parse(["display.tone_mapping=aces"])` reads the command line's form."""
+    """All stages' settings, immutable; `with_values(["display.tone_mapping=aces"])` reads the command line's form."""
 
     raster: RasterSettings = RasterSettings()
     """Visibility."""

@@ -36,6 +36,7 @@ class Request:
         clusters_per_view: Most cluster slots a view may see.
         scene_key: Identity of the device scene the structs point to.
         threads: Host threads on the CPU; 0 on CUDA.
+        share_memory: Let buffers whose lives do not overlap share memory.
     """
 
     outputs: frozenset[str]
@@ -48,6 +49,7 @@ class Request:
     clusters_per_view: int
     scene_key: int
     threads: int
+    share_memory: bool = True
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +59,8 @@ class Buffer:
     dtype: Any
     count: int
     lasting: bool = False
+    #: Element type users see, where kernels see another one of the same size.
+    public: Any = None
 
 
 class Pass(abc.ABC):

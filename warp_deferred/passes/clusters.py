@@ -46,15 +46,20 @@ class ClustersPass(Pass):
         program, views = resources.program, resources.frame.views
         pairs = resources.channels["pairs"]
         rows = len(self.layout.sizes)
-        program.call(self.work.counts.zero_)
         program.launch(
-            kernels.prepare_pairs_kernel, (rows, self.request.instances_per_view), [views, resources.scene.geometry, FIRST], [pairs],
+            kernels.prepare_pairs_kernel,
+            (rows, max(2, self.request.instances_per_view)),
+            [views, resources.scene.geometry, FIRST],
+            [pairs, self.work],
             block_dim=kernels.BLOCK_DIM,
-        )  # fmt: skip
+        )
         program.launch(
-            kernels.cull_clusters_kernel, (rows, self.request.clusters_per_view), [views, resources.scene.geometry, pairs], [self.work],
+            kernels.cull_clusters_kernel,
+            (rows, self.request.clusters_per_view),
+            [views, resources.scene.geometry, pairs],
+            [self.work],
             block_dim=kernels.BLOCK_DIM,
-        )  # fmt: skip
+        )
 
     def bytes_moved(self) -> int:
         """Cluster records and slots in, entries out."""

@@ -38,20 +38,18 @@ class DisplayPass(Pass):
         return ("radiance",) if self.half else ("color",)
 
     def writes(self) -> dict[str, Buffer]:
-        """sRGB bytes."""
-        return {"display": Buffer(wp.vec4ub, max(self.layout.pixels, 1))}
+        """Encoded bytes."""
+        return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
-        """Fetch the kernel, upload the code tables."""
+        """Fetch the kernel, upload the thresholds."""
         self.kernel = kernels.make_display_kernel(self.request.settings.display.tone_mapping, self.half)
-        thresholds, guesses = color_kernels.srgb_tables()
-        self.thresholds = wp.array(thresholds, dtype=wp.float32, device=resources.device)
-        self.guesses = wp.array(guesses, dtype=wp.uint8, device=resources.device)
+        self.thresholds = wp.array(color_kernels.srgb_thresholds(), dtype=wp.float32, device=resources.device)
 
     def run(self, resources: Resources) -> None:
         """One launch."""
-        radiance, color = resources.channel("radiance", wp.vec4h), resources.channel("color", wp.vec3)
-        inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, self.guesses, FIRST]
+        radiance, color = resources.channel("radiance", wp.uint64), resources.channel("color", wp.vec3)
+        inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, FIRST]
         resources.program.launch(
             self.kernel,
             len(self.layout.blocks) * 64,

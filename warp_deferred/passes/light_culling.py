@@ -18,9 +18,14 @@ __all__ = ["LightCullingPass", "make_masks"]
 def make_masks(resources: Resources, capacity: int) -> structs.LightMasks:
     """Struct over the mask channels of a plan."""
     masks = structs.LightMasks()
-    for field, dtype in (
-        ("words", wp.uint32), ("summary", wp.uint32), ("coarse", wp.uint32), ("bounds", wp.vec2), ("coarse_bounds", wp.vec2),
-    ):  # fmt: skip
+    fields = {
+        "words": wp.uint32,
+        "summary": wp.uint32,
+        "coarse": wp.uint32,
+        "bounds": wp.vec2,
+        "coarse_bounds": wp.vec2,
+    }
+    for field, dtype in fields.items():
         setattr(masks, field, resources.channel(f"mask_{field}", dtype))
     masks.words_per_tile = -(-capacity // 32)
     masks.summary_per_tile = -(-masks.words_per_tile // 32)
@@ -56,7 +61,8 @@ class LightCullingPass(Pass):
         tiles, coarse = len(self.layout.tiles), len(self.layout.coarse_tiles)
         if tiles * words > 2**31 - 1:
             raise CapacityError(
-                f"light masks: expected tiles x mask words of at most {2**31 - 1}, got {tiles} x {words}; use larger light tiles"
+                f"light masks: expected tiles x mask words of at most {2**31 - 1}, got {tiles} x {words}; "
+                "use larger light tiles"
             )
         result = {"mask_words": Buffer(wp.uint32, tiles * words), "mask_summary": Buffer(wp.uint32, tiles * summary)}
         if self.request.settings.light_culling.rung != "brute_force":
@@ -95,18 +101,30 @@ class LightCullingPass(Pass):
         program.call(masks.coarse.zero_)
         # Tile operations use one arena a process on the CPU backend: these two stay on one host thread.
         program.launch(
-            kernels.tile_bounds_kernel, tiles, [frame.views, resources.tiles, depth, shift, FIRST], [masks.bounds],
-            block_dim=block, tiled=True,
-        )  # fmt: skip
+            kernels.tile_bounds_kernel,
+            tiles,
+            [frame.views, resources.tiles, depth, shift, FIRST],
+            [masks.bounds],
+            block_dim=block,
+            tiled=True,
+        )
         program.launch(
-            kernels.coarse_bounds_kernel, coarse, [frame.views, resources.coarse_tiles, masks.bounds, shift, coarse_shift, FIRST],
-            [masks.coarse_bounds], block_dim=block, tiled=True,
-        )  # fmt: skip
+            kernels.coarse_bounds_kernel,
+            coarse,
+            [frame.views, resources.coarse_tiles, masks.bounds, shift, coarse_shift, FIRST],
+            [masks.coarse_bounds],
+            block_dim=block,
+            tiled=True,
+        )
         lights = resources.lights.staged
         program.launch(
-            self.coarse, (coarse, self.request.features.light_capacity), [frame.views, frame.values, resources.coarse_tiles, lights, FIRST],
-            [masks], block_dim=block, band=1,
-        )  # fmt: skip
+            self.coarse,
+            (coarse, self.request.features.light_capacity),
+            [frame.views, frame.values, resources.coarse_tiles, lights, FIRST],
+            [masks],
+            block_dim=block,
+            band=1,
+        )
         program.launch(
             self.fine,
             (tiles, masks.words_per_tile),

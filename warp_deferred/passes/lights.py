@@ -39,9 +39,12 @@ class LightsPass(Pass):
         """One launch."""
         lights, frame = resources.lights, resources.frame
         resources.program.launch(
-            kernels.stage_lights_kernel, (len(self.layout.sizes), lights.capacity), [frame.views, frame.values, lights.source, FIRST],
-            [lights.staged], block_dim=kernels.BLOCK_DIM,
-        )  # fmt: skip
+            kernels.stage_lights_kernel,
+            (len(self.layout.sizes), lights.capacity),
+            [frame.views, frame.values, lights.source, FIRST],
+            [lights.staged],
+            block_dim=kernels.BLOCK_DIM,
+        )
 
     def bytes_moved(self) -> int:
         """Source in, staged out."""

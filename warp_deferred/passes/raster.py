@@ -17,8 +17,8 @@ __all__ = ["RasterPass"]
 #: Blocks of the fixed grid; measured best on an H200 (design, section 5).
 GRID_BLOCKS = 8192
 CAREFUL_BLOCKS = 1024
-BIN_LANES = 128
-BIN_GROUPS = 1056
+BIN_LANES = 16
+BIN_GROUPS = 8448
 
 
 class RasterPass(Pass):
@@ -160,9 +160,12 @@ class RasterPass(Pass):
         program.call(lambda: wp.utils.array_scan(counts, offsets, inclusive=False))
         bin_step(1)
         program.launch(
-            self.draw_bins, len(self.layout.bin_tiles) * int(structs.BIN_TILE_AREA), [views, resources.bin_tiles, self.bins], [target],
+            self.draw_bins,
+            len(self.layout.bin_tiles) * int(structs.BIN_TILE_AREA),
+            [views, resources.bin_tiles, self.bins],
+            [target],
             block_dim=bin_kernels.BLOCK_DIM,
-        )  # fmt: skip
+        )
 
     def _merge(self, resources: Resources) -> None:
         for name, count, kernel in (
@@ -171,9 +174,13 @@ class RasterPass(Pass):
         ):
             if count:
                 resources.program.launch(
-                    kernel, count, [resources.channels[f"slice_{name}"], count, self.slices - 1, FIRST], [resources.channels[name]],
-                    block_dim=merge_kernels.BLOCK_DIM, band=64,
-                )  # fmt: skip
+                    kernel,
+                    count,
+                    [resources.channels[f"slice_{name}"], count, self.slices - 1, FIRST],
+                    [resources.channels[name]],
+                    block_dim=merge_kernels.BLOCK_DIM,
+                    band=64,
+                )
 
     def bytes_moved(self) -> int:
         """Keys cleared and written once; triangle indices read."""

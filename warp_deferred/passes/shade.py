@@ -13,7 +13,7 @@ from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
 
 __all__ = ["ShadePass"]
 
-TYPES = {"color": wp.vec3, "diffuse": wp.vec3, "specular": wp.vec3, "light_count": wp.int32, "radiance": wp.vec4h}
+TYPES = {"color": wp.vec3, "diffuse": wp.vec3, "specular": wp.vec3, "light_count": wp.int32, "radiance": wp.uint64}
 
 
 class ShadePass(Pass):
