@@ -24,7 +24,7 @@ SECTIONS = {
         "Whole frames",
         "Frames with the output `display`, then their passes. A pass's floor is the time its memory traffic takes at "
         "the copy bandwidth measured in the same run; passes are timed as graphs of their own, so that their sum "
-        "exceeds the frame's by the cost of starting graphs.",
+        "exceeds the frame's, which is one graph, by the cost of starting them.",
     ),
     "triangles": (
         "Triangles",
@@ -39,8 +39,9 @@ SECTIONS = {
     "tiles": ("Light tiles", "The same scene by the side of a screen tile, the number of lights and the resolution."),
     "host": (
         "Host time",
-        "What a call of `render` costs the thread that makes it. The device is waited for after every third call, "
-        "outside the clock; the last figure waits for nothing and is bound by whichever is slower.",
+        "What a call of `render` costs the thread that makes it: no figure waits for the device inside the clock, and "
+        "where none is named not between calls either, so that a full queue would show. The last figure is that "
+        "of host or device, whichever is slower. On the CPU a call renders the frame.",
     ),
 }
 INTRODUCTION = """# Benchmarks

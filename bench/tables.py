@@ -169,7 +169,7 @@ def _frame(record: Record) -> str:
     for row in record["rows"]:
         lines = [_pass_line(row, f"pass.{name}", f"`{name}`") for name in pass_names(row)]
         lines.append(["sum of passes", milliseconds(row["passes.sum_ms"]), "", "", "", ""])
-        lines.append(_pass_line(row, "frame", "**whole frame, one graph**"))
+        lines.append(_pass_line(row, "frame", "**whole frame**"))
         triangles, lights = _count(row["triangles"]), _count(row["lights"])
         heading = (
             f"**{row['title']}** ({triangles} triangles, {lights} lights, {row['coverage']:.0%} of the picture covered)"

@@ -161,24 +161,24 @@ def time_passes(program: Program, *, repeats: int = REPEATS) -> dict[str, Timing
     }
 
 
-def time_calls(device: wp.Device, call: Callable[[int], Any], count: int, *, ahead: int = 1) -> Timing:
+def time_calls(device: wp.Device, call: Callable[[int], Any], count: int, *, ahead: int | None = None) -> Timing:
     """Time host calls that only queue work, such as `render`: wall-clock time of each call [ms].
 
-    The clock stops after every call; the device is waited for after each `ahead` of them, outside the clock, for
-    otherwise a full queue would make the host wait and the figure would be the device's.
+    The clock stops after every call. A host far ahead of the device is made to wait by a full queue, and the figure
+    is then the device's; with `ahead` the device is waited for now and then, outside the clock.
 
     Args:
         device: Device the calls queue work on.
         call: Function of the call's number.
         count: Calls.
-        ahead: Calls queued before the device is waited for.
+        ahead: Calls after which the device is waited for; only at the end if left out.
     """
     values = []
     for k in range(count):
         begun = time.perf_counter()
         call(k)
         values.append((time.perf_counter() - begun) * 1e3)
-        if (k + 1) % ahead == 0:
+        if ahead is not None and (k + 1) % ahead == 0:
             wp.synchronize_device(device)
     wp.synchronize_device(device)
     return Timing.of(values)
