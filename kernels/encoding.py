@@ -69,7 +69,7 @@ def usable_normal(n: wp.vec3):
 def encode_octahedral(n: wp.vec3, levels: wp.float32):
     """Two codes of a direction on the unfolded octahedron; levels is even, so that the axes are exact."""
     v = usable_normal(n)
-    v = v / (wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2]))
+    v = v * (1.0 / (wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])))
     x, y = v[0], v[1]
     if v[2] < 0.0:
         x = (1.0 - wp.abs(v[1])) * sign_not_zero(v[0])
@@ -84,7 +84,8 @@ def decode_octahedral(code: wp.vec2ui, levels: wp.float32):
     y = unpack_unorm(code[1], levels) * 2.0 - 1.0
     z = 1.0 - wp.abs(x) - wp.abs(y)
     fold = wp.max(-z, 0.0)
-    return wp.normalize(wp.vec3(x - sign_not_zero(x) * fold, y - sign_not_zero(y) * fold, z))
+    v = wp.vec3(x - sign_not_zero(x) * fold, y - sign_not_zero(y) * fold, z)
+    return v * (1.0 / wp.length(v))
 
 
 @functools.cache

@@ -24,6 +24,7 @@ from .structs import (
     PIXEL_BLOCK_AREA,
     GBuffer,
     Geometry,
+    Instance,
     Layers,
     Material,
     Pair,
@@ -60,7 +61,10 @@ def cofactor(m: wp.mat33, n: wp.vec3):
 
 @wp.func
 def scaled_normal(v: wp.vec3):
-    """Unit vector of v, scaled first so that tiny and huge vectors neither vanish nor overflow; 0 for 0."""
+    """Unit vector of v; one so tiny or huge that its square would vanish or overflow is scaled first. 0 for 0."""
+    square = wp.dot(v, v)
+    if square > 1.0e-30 and square < 1.0e30:
+        return v * (1.0 / wp.sqrt(square))
     largest = wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
     if not (largest > 0.0 and wp.isfinite(largest)):
         return wp.vec3()
@@ -110,24 +114,41 @@ def make_textured_surface(emissive: bool):
     return textured_surface
 
 
-@functools.cache
-def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: bool, colors: bool, emissive: bool):
-    """Kernel that fills the G-buffer and the layers asked for.
+@wp.func
+def surface_normal(geometry: Geometry, flags: wp.int32, slot: wp.int32, pair: Pair, b: Barycentric, v: wp.vec4i):
+    """World normal of a pixel, turned to the viewer: interpolated, or the face's own where there is none."""
+    normal = wp.vec3()
+    if (flags & FLAG_SMOOTH) != 0:
+        normal = mix3(b.weight, normal_of(geometry, v[0]), normal_of(geometry, v[1]), normal_of(geometry, v[2]))
+    if wp.dot(normal, normal) < 1.0e-12:
+        p0 = position_of(geometry, v[0])
+        normal = scaled_normal(wp.cross(position_of(geometry, v[1]) - p0, position_of(geometry, v[2]) - p0))
+    # With y down, front faces are negative; a mirroring transform turns both the face and the cofactors round.
+    mirrored = wp.where(pair.flip != 0, -1.0, 1.0)
+    facing = wp.where(b.orientation * mirrored <= 0.0, mirrored, -mirrored)
+    return scaled_normal(cofactor(geometry.transforms[slot].linear, normal)) * facing
 
-    Args:
-        codec: Arguments of `make_gbuffer_codec`, or None where no pass reads the G-buffer.
-        layers: Names out of LAYER_NAMES to write.
-        textured: Some material in use has a texture.
-        colors: Some mesh in use has vertex colours.
-        emissive: Some material in use emits.
-    """
-    encode = make_gbuffer_codec(*(codec or ("compact", "oct24", False)))[0]
-    textured_surface = make_textured_surface(emissive)
+
+@wp.func
+def plain_surface(m: Material, normal: wp.vec3):
+    """Surface of a material before textures and vertex colours."""
+    s = Surface()
+    s.normal = normal
+    s.albedo = wp.vec3(m.base_color[0], m.base_color[1], m.base_color[2])
+    s.roughness = m.roughness
+    s.metallic = m.metallic
+    s.shininess = m.shininess
+    s.occlusion = 1.0
+    s.model = m.model
+    return s
+
+
+@functools.cache
+def make_write_layers(layers: tuple[str, ...]):
+    """(background, surface) functions that write the layers asked for."""
 
     @wp.func
-    def write_background(i: wp.int32, g: GBuffer, out: Layers):
-        if wp.static(codec is not None):
-            g.depth[i] = wp.inf
+    def write_background(i: wp.int32, out: Layers):
         if wp.static("normal" in layers):
             out.normal[i] = wp.vec3()
         if wp.static("position" in layers):
@@ -144,6 +165,55 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
             out.material_id[i] = -1
         if wp.static("triangle_id" in layers):
             out.triangle_id[i] = -1
+
+    @wp.func
+    def write_surface(
+        i: wp.int32,
+        out: Layers,
+        s: Surface,
+        instance: Instance,
+        triangle: wp.int32,
+        origin: wp.vec3d,
+        relative: wp.vec3,
+    ):
+        if wp.static("normal" in layers):
+            out.normal[i] = s.normal
+        if wp.static("position" in layers):
+            out.position[i] = wp.vec3(
+                wp.float32(origin[0] + wp.float64(relative[0])),
+                wp.float32(origin[1] + wp.float64(relative[1])),
+                wp.float32(origin[2] + wp.float64(relative[2])),
+            )
+        if wp.static("albedo" in layers):
+            out.albedo[i] = s.albedo
+        if wp.static("alpha" in layers):
+            out.alpha[i] = 1.0
+        if wp.static("instance_id" in layers):
+            out.instance_id[i] = instance.public_id
+        if wp.static("semantic_id" in layers):
+            out.semantic_id[i] = instance.label
+        if wp.static("material_id" in layers):
+            out.material_id[i] = instance.material
+        if wp.static("triangle_id" in layers):
+            out.triangle_id[i] = triangle
+
+    return write_background, write_surface
+
+
+@functools.cache
+def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: bool, colors: bool, emissive: bool):
+    """Kernel that fills the G-buffer and the layers asked for.
+
+    Args:
+        codec: Arguments of `make_gbuffer_codec`, or None where no pass reads the G-buffer.
+        layers: Names out of LAYER_NAMES to write.
+        textured: Some material in use has a texture.
+        colors: Some mesh in use has vertex colours.
+        emissive: Some material in use emits.
+    """
+    encode = make_gbuffer_codec(*(codec or ("compact", "oct24", False)))[0]
+    textured_surface = make_textured_surface(emissive)
+    write_background, write_surface = make_write_layers(layers)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def resolve_kernel(
@@ -172,7 +242,9 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         i = pixel_index(view, x, y)
         key = keys[i]
         if key == wp.uint64(0):
-            write_background(i, out_gbuffer, out_layers)
+            if wp.static(codec is not None):
+                out_gbuffer.depth[i] = wp.inf
+            write_background(i, out_layers)
             return
         z = bits_float(wp.uint32(key >> wp.uint64(32)))
         identity = ALL_BITS - wp.uint32(key)
@@ -182,32 +254,13 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         v = load_vec4i(geometry.triangles, instance.triangle_first + triangle)
         pair = pairs[pair_of_instance(view, instance_slot)]
         px, py = wp.float32(x) + 0.5, wp.float32(y) + 0.5
-        p0, p1, p2 = position_of(geometry, v[0]), position_of(geometry, v[1]), position_of(geometry, v[2])
         b = barycentric(
-            relative_vertex(view, pair, p0, px, py),
-            relative_vertex(view, pair, p1, px, py),
-            relative_vertex(view, pair, p2, px, py),
+            relative_vertex(view, pair, position_of(geometry, v[0]), px, py),
+            relative_vertex(view, pair, position_of(geometry, v[1]), px, py),
+            relative_vertex(view, pair, position_of(geometry, v[2]), px, py),
         )
-        linear = geometry.transforms[instance_slot].linear
-        # The face's own normal, where there is none to interpolate; y down makes front faces negative.
-        normal = wp.vec3()
-        if (instance.flags & FLAG_SMOOTH) != 0:
-            normal = mix3(b.weight, normal_of(geometry, v[0]), normal_of(geometry, v[1]), normal_of(geometry, v[2]))
-        if wp.dot(normal, normal) < 1.0e-12:
-            normal = scaled_normal(wp.cross(p1 - p0, p2 - p0))
-        mirrored = wp.where(pair.flip != 0, -1.0, 1.0)
-        facing = wp.where(b.orientation * mirrored <= 0.0, 1.0, -1.0)
-        normal = scaled_normal(cofactor(linear, normal)) * mirrored * facing
-
         material = materials[instance.material]
-        s = Surface()
-        s.normal = normal
-        s.albedo = wp.vec3(material.base_color[0], material.base_color[1], material.base_color[2])
-        s.roughness = material.roughness
-        s.metallic = material.metallic
-        s.shininess = material.shininess
-        s.occlusion = 1.0
-        s.model = material.model
+        s = plain_surface(material, surface_normal(geometry, instance.flags, instance_slot, pair, b, v))
         if wp.static(colors):
             if (instance.flags & FLAG_COLORS) != 0:
                 c = mix4(b.weight, geometry.colors[v[0]], geometry.colors[v[1]], geometry.colors[v[2]])
@@ -226,28 +279,10 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         if wp.static(codec is not None):
             out_gbuffer.depth[i] = linear_depth(view, z)
             encode(out_gbuffer, i, s)
-        if wp.static("normal" in layers):
-            out_layers.normal[i] = s.normal
+        relative = wp.vec3()
         if wp.static("position" in layers):
-            rel = relative_position(view, px, py, linear_depth(view, z))
-            o = view.origin
-            out_layers.position[i] = wp.vec3(
-                wp.float32(o[0] + wp.float64(rel[0])),
-                wp.float32(o[1] + wp.float64(rel[1])),
-                wp.float32(o[2] + wp.float64(rel[2])),
-            )
-        if wp.static("albedo" in layers):
-            out_layers.albedo[i] = s.albedo
-        if wp.static("alpha" in layers):
-            out_layers.alpha[i] = 1.0
-        if wp.static("instance_id" in layers):
-            out_layers.instance_id[i] = instance.public_id
-        if wp.static("semantic_id" in layers):
-            out_layers.semantic_id[i] = instance.label
-        if wp.static("material_id" in layers):
-            out_layers.material_id[i] = instance.material
-        if wp.static("triangle_id" in layers):
-            out_layers.triangle_id[i] = triangle
+            relative = relative_position(view, px, py, linear_depth(view, z))
+        write_surface(i, out_layers, s, instance, triangle, view.origin, relative)
 
     return resolve_kernel
 
