@@ -118,12 +118,14 @@ def light_reaches(view: View, volume: TileVolume, lights: Lights, v: wp.int32, i
         return True
     p = view.rotation * wp.vec3(place[0], place[1], place[2])
     center = wp.vec3(p[0], p[1], -p[2])
-    # 1e-4 of the range and 1e-5 of all distances cover the rounding here and in the shading.
-    size = wp.abs(center[0]) + wp.abs(center[1]) + wp.abs(center[2]) + wp.length(volume.center) + volume.radius
-    margin = 1.0e-5 * size
-    if wp.isfinite(reach) and not sphere_reaches(view, volume, center, reach * 1.0001 + margin):
+    # 1e-4 of the range and 1e-5 of all distances cover the rounding here and in the shading. A point in reach is no
+    # farther than light and range together, so an unbounded slice needs no wider margin.
+    away = wp.abs(center[0]) + wp.abs(center[1]) + wp.abs(center[2])
+    if wp.isfinite(reach) and not sphere_reaches(view, volume, center, reach * 1.0001 + 1.0e-5 * away):
         return False
-    if kind == LIGHT_SPOT:
+    margin = 1.0e-5 * (away + wp.length(volume.center) + volume.radius)
+    # An unbounded slice has no bounding sphere.
+    if kind == LIGHT_SPOT and wp.isfinite(margin):
         a = lights.axis[i]
         d = view.rotation * wp.vec3(a[0], a[1], a[2])
         return cone_reaches(volume, center, wp.vec3(d[0], d[1], -d[2]), lights.color[i][3], margin)
@@ -206,7 +208,7 @@ def coarse_bounds_kernel(
 
 @functools.cache
 def make_light_culling_kernels(depth_bounds: bool):
-    """(coarse, fine) kernels that fill the masks, with depth bounds or from the near plane to infinity."""
+    """(coarse, fine) kernels that fill the masks, with depth bounds or without any."""
 
     @wp.func
     def effective_bounds(view: View, bounds: wp.vec2):
@@ -214,7 +216,8 @@ def make_light_culling_kernels(depth_bounds: bool):
             return bounds
         if bounds[0] > bounds[1]:
             return bounds
-        return wp.vec2(0.0, 1.0e30)
+        # An orthographic view may start behind its eye.
+        return wp.vec2(wp.where(view.projection == ORTHOGRAPHIC, -1.0e30, 0.0), 1.0e30)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def coarse_masks_kernel(

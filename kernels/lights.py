@@ -84,9 +84,11 @@ def stage_lights_kernel(
     else:
         relative = to_single(source.position[i] - view.origin)
     world = source.world[i]
+    reach_here = reach
     if world >= 0 and view.world >= 0 and world != view.world:
-        reach = -1.0
-    out_lights.position[place] = wp.vec4(relative[0], relative[1], relative[2], reach)
+        reach_here = -1.0
+    out_lights.position[place] = wp.vec4(relative[0], relative[1], relative[2], reach_here)
+    # What follows is shared by all views, so it must not know the first one's world.
     if v > 0:
         return
     axis = wp.vec3()
@@ -179,7 +181,7 @@ def make_arrive(kinds: int, polynomial: bool):
             distance = wp.sqrt(d2)
             if distance == 0.0:
                 return result
-            result.direction = to_light / distance
+            result.direction = to_light * (1.0 / distance)
             ratio = d2 * shape[2]
             power = wp.max(1.0 - ratio * ratio, 0.0) / wp.max(d2, shape[1])
             if wp.static(polynomial):

@@ -97,12 +97,15 @@ def cut_clusters(positions: np.ndarray, triangles: np.ndarray) -> Clusters:
     # Cones wider than about 84 degrees cull next to nothing.
     cutoff = np.where(spread > 0.1, np.sqrt(np.maximum(1.0 - spread * spread, 0.0)) + 1e-4, 2.0)
     rows = np.concatenate([triangles[ids], ids[:, None]], axis=1).astype(np.int32)
+    with np.errstate(over="ignore"):
+        # A sphere past float32 is infinite: its cluster is never culled and always clipped with care.
+        sphere = (radius * (1.0 + 1e-6)).astype(np.float32)
     return Clusters(
         np.ascontiguousarray(rows),
         first.astype(np.int32),
         count.astype(np.int32),
         center,
-        (radius * (1.0 + 1e-6)).astype(np.float32),
+        sphere,
         axis.astype(np.float32),
         cutoff.astype(np.float32),
     )

@@ -12,6 +12,7 @@ import weakref
 import numpy as np
 import warp as wp
 
+from .checks import input_error
 from .clustering import CLUSTER_SIZE, Clusters, cut_clusters, smooth_normals
 from .errors import CapacityError
 from .features import MODELS
@@ -180,8 +181,9 @@ class DeviceScene:
             row["mesh_origin"] = mesh.origin
             if len(mesh.positions):
                 row["bounds_low"], row["bounds_high"] = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
-            extent = float((row["bounds_high"] - row["bounds_low"]).max())
-            row["anchor_grid"] = 2.0 ** (math.floor(math.log2(extent)) - 6) if extent > 0.0 else 1.0
+            # In float64: two float32 corners may lie farther apart than float32 reaches; the grid stays normal.
+            extent = float(np.subtract(row["bounds_high"], row["bounds_low"], dtype=np.float64).max())
+            row["anchor_grid"] = 2.0 ** max(math.floor(math.log2(extent)) - 6, -126) if extent > 0.0 else 1.0
             row["id_base"] = bases[k] * CLUSTER_SIZE
             row["public_id"], row["triangle_first"] = k, self._first_triangle[id(mesh)]
             row["material"], row["label"] = self._material_of[id(instance.material)], instance.label
@@ -213,8 +215,8 @@ class DeviceScene:
     def _ranges(self, starts: dict[int, tuple[int, int]]) -> None:
         """World -> (first instance, instances, first slot, slots); -1 is what every world shares."""
         worlds = sorted(starts)
-        # An empty scene has no world at all.
-        ends = [*(starts[w] for w in worlds[1:]), (self.instance_count, self.cluster_slots)][: len(worlds)]
+        # Without instances there is no world, and nothing that ends.
+        ends = [starts[w] for w in worlds[1:]] + [(self.instance_count, self.cluster_slots)] * bool(worlds)
         self._world_ranges = {
             w: (starts[w][0], e[0] - starts[w][0], starts[w][1], e[1] - starts[w][1])
             for w, e in zip(worlds, ends, strict=True)
@@ -238,11 +240,12 @@ class DeviceScene:
             row["linear"] = matrix[:3, :3]
             origin = instances[k].mesh.origin
             row["origin"] = matrix[:3, :3] @ origin + matrix[:3, 3] if origin.any() else matrix[:3, 3]
-        self.geometry.transforms.assign(wp.array(table, dtype=structs.Transform, device="cpu"))
+        self.geometry.transforms.assign(wp.array(table, dtype=structs.Transform, device="cpu", copy=False))
 
     def stage_transforms(self, bound: object) -> None:
         """Copy bound device transforms into the staging, on the device."""
-        array = as_float_array(bound, self.device)
+        count = self.instance_count
+        array = as_float_array("Scene.bind_transforms", bound, self.device, (count, 4, 4), (count, 7))
         kernel = cluster_kernels.stage_poses_kernel if array.ndim == 2 else cluster_kernels.stage_matrices_kernel
         wp.launch(
             kernel,
@@ -261,17 +264,35 @@ def _padded(rows: np.ndarray, dtype: type) -> np.ndarray:
     return out
 
 
-def as_float_array(value: object, device: wp.Device) -> wp.array:
-    """See a Warp, torch or JAX array as a Warp array of plain float32 on the device, without a copy where it can be."""
+def as_float_array(name: str, value: object, device: wp.Device, *shapes: tuple[int, ...]) -> wp.array:
+    """See a Warp, torch or JAX array as a Warp array of plain float32 on the device, without a copy where it can be.
+
+    Args:
+        name: What the array is, for messages.
+        value: The array; vectors, matrices and transforms of Warp count as further axes.
+        device: Where it is needed.
+        *shapes: Shapes that will do.
+
+    Raises:
+        InputError: If it holds other numbers or has another shape.
+    """
     array = value if isinstance(value, wp.array) else wp.from_dlpack(value)
+    number = getattr(array.dtype, "_wp_scalar_type_", array.dtype)
+    if number is not wp.float32:
+        got = getattr(number, "__name__", str(number))
+        raise input_error(name, "float32 numbers", f"<{got} array>", "convert the array to float32")
+    lengths = tuple(getattr(array.dtype, "_shape_", ()))
+    shape = (*array.shape, *lengths)
+    if shape not in shapes:
+        raise input_error(name, "shape " + " or ".join(map(str, shapes)), f"<shape {shape}>")
     if array.device != device:
         array = array.to(device)
-    lengths = getattr(array.dtype, "_shape_", ())
     if not lengths:
         return array
-    shape = (*array.shape, *lengths)
-    return (
-        wp.array(ptr=array.ptr, dtype=wp.float32, shape=shape, device=device, copy=False)
-        if array.is_contiguous
-        else as_float_array(array.contiguous(), device)
+    inner = [4 * math.prod(lengths[k + 1 :]) for k in range(len(lengths))]
+    result = wp.array(
+        ptr=array.ptr, dtype=wp.float32, shape=shape, strides=(*array.strides, *inner), device=device, copy=False
     )
+    # A pointer keeps nothing alive: what `to` or DLPack made must outlast the launch that reads it.
+    result._ref = array
+    return result

@@ -74,16 +74,15 @@ class LightStore:
             self._upload(lights)
             self._owner, self._revision = lights, lights.revision
         start = 0
-        for _, group in lights.groups():
+        for kind, group in lights.groups():
+            count = len(group)
             for name, value in group.bound.items():
+                shape = (count, FIELDS[name][1]) if FIELDS[name][1] else (count,)
+                values = as_float_array(f"Lights.{kind}.{name}", value, self.device, shape)
                 wp.launch(
-                    STAGING[name],
-                    dim=len(group),
-                    inputs=[as_float_array(value, self.device), start],
-                    outputs=[self._arrays[name]],
-                    device=self.device,
+                    STAGING[name], dim=count, inputs=[values, start], outputs=[self._arrays[name]], device=self.device,
                     block_dim=light_kernels.BLOCK_DIM,
-                )
+                )  # fmt: skip
             start += len(group)
 
     def _upload(self, lights: Lights) -> None:
@@ -100,4 +99,4 @@ class LightStore:
                 host["angles"][rows] = np.stack([group.inner_angle, group.outer_angle], axis=1)
             start += len(group)
         for name, array in self._arrays.items():
-            array.assign(wp.array(host[name], dtype=array.dtype, device="cpu"))
+            array.assign(wp.array(host[name], dtype=array.dtype, device="cpu", copy=False))

@@ -188,8 +188,8 @@ class LightGroup:
                 raise input_error(
                     qualified, f"shape {shape}", f"<shape {got}>", "counts change with Lights.add and Lights.clear"
                 )
+            # No change to count: what is bound is copied before every frame anyway, the host's arrays stay as they are.
             self._bound[name] = value
-            self._on_change(name not in self.__dict__["_bound"])
             return
         array = self._checked(qualified, name, value, shape, dtype)
         self._bound.pop(name, None)

@@ -158,7 +158,10 @@ class Plan:
         if len({(s.width, s.height) for s in sizes}) != 1:
             return array
         shape = (len(sizes), sizes[0].height, sizes[0].width)
-        return wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device, copy=False)
+        image = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device, copy=False)
+        # The memory lives for as long as someone holds the image, even when the plan is gone.
+        image._ref = array
+        return image
 
     def replay(self) -> None:
         """Run the frame; the first call on CUDA captures it."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import warp as wp
@@ -153,9 +153,7 @@ class Renderer:
         return Frame(plan.outputs, cameras, lambda: self._generation == generation)
 
     def _stage_poses(self, poses: Any, count: int, resources: Any) -> None:
-        array = as_float_array(poses, self.device)
-        if tuple(array.shape) != (count, 4, 4):
-            raise input_error("render.poses", f"shape ({count}, 4, 4)", f"<shape {tuple(array.shape)}>")
+        array = as_float_array("render.poses", poses, self.device, (count, 4, 4))
         wp.launch(
             cluster_kernels.stage_cameras_kernel,
             dim=count,
@@ -172,14 +170,16 @@ class Renderer:
                 raise input_error(
                     "render.camera", "a Camera", None, "the scene has none: pass one, or set scene.camera"
                 )
-        cameras = [camera] if isinstance(camera, Camera) else list(camera)
+        if isinstance(camera, Camera):
+            return [camera]
+        cameras = list(camera) if isinstance(camera, Iterable) else []
         if not cameras or not all(isinstance(c, Camera) for c in cameras):
             raise input_error("render.camera", "a Camera or a sequence of them", camera)
         return cameras
 
     def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
         scene = self.scene
-        seen = (scene.structure_revision, scene.lights.structure_revision)
+        seen = (scene.structure_revision, scene.lights.structure_revision, scene.look_revision)
         worlds = tuple([c.world for c in cameras])
         # The common case, a frame like the last one, must not hash settings or requests.
         settings = self._settings or scene.settings
@@ -244,11 +244,13 @@ class Renderer:
 
     def _update(self) -> None:
         scene, device_scene = self.scene, self._device_scene
-        if self._revision != scene.revision:
-            device_scene.update_transforms(scene)
-            self._revision = scene.revision
         if scene.transforms is not None:
             device_scene.stage_transforms(scene.transforms)
+            # The staging overwrites the host's transforms: they are uploaded again once the array is unbound.
+            self._revision = -1
+        elif self._revision != scene.revision:
+            device_scene.update_transforms(scene)
+            self._revision = scene.revision
         if len(scene.lights):
             self._plan.resources.lights.update(scene.lights)
 

@@ -1,8 +1,8 @@
 """A scene: meshes placed as instances, lights, an environment, cameras. Host data only; nothing here touches a device.
 
-Two revision counters let a renderer see in constant time what changed: `structure_revision` (what exists: meshes,
-instances, materials, counts) asks for a new upload and perhaps a new plan, `revision` (numbers: transforms, lights)
-only for new numbers.
+Three revision counters let a renderer see in constant time what changed: `structure_revision` (what exists: meshes,
+instances, materials, counts) asks for a new upload and perhaps a new plan, `look_revision` (the environment) for
+another look at what the scene calls for, `revision` (transforms) only for new numbers.
 """
 
 from __future__ import annotations
@@ -185,6 +185,7 @@ class Scene:
     def __init__(self, name: str = "") -> None:
         self.name = name
         self.structure_revision = 0
+        self.look_revision = 0
         self.revision = 0
         self.lights = Lights()
         self.cameras: list[Camera] = []
@@ -260,7 +261,7 @@ class Scene:
         if not isinstance(value, Environment):
             raise input_error("Scene.environment", "an Environment", type(value).__name__)
         self._environment = value
-        self.structure_revision += 1
+        self.look_revision += 1
 
     @property
     def camera(self) -> Camera | None:
@@ -298,7 +299,7 @@ class Scene:
             if shape[:1] != (count,) or shape[1:] not in ((), (4, 4), (7,)):
                 raise input_error("Scene.bind_transforms", f"shape ({count}, 4, 4) or ({count}, 7)", f"<shape {shape}>")
         self._transforms = array
-        self.structure_revision += 1
+        self.revision += 1
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the world box of all instances as (low, high), each (3,) float64, or None for an empty scene."""
