@@ -182,6 +182,34 @@ def test_r6_raster_paths_and_capacities_give_the_same_bits(device, rng):
     assert len(np.unique(images[0]["triangle_id"])) > 20
 
 
+def test_p3_host_threads_give_the_same_bits(rng):
+    mesh = mixed_mesh(rng)
+    one, two, three = (render(scene_of(mesh), pixel_camera(130), 150, 130, threads=k) for k in (1, 2, 3))
+    assert_same(one, two)
+    assert_same(one, three)
+
+
+def test_p3_a_batch_gives_the_bits_of_single_views(device, rng):
+    scene = scene_of(mixed_mesh(rng))
+    cameras = [pixel_camera(130).replace(position=(float(k), 2.0 * k, 0.0)) for k in range(5)]
+    batch = render(scene, cameras, 150, 130, device=device)
+    for k, camera in enumerate(cameras):
+        assert_same(render(scene, camera, 150, 130, device=device), {name: v[k] for name, v in batch.items()})
+
+
+@pytest.mark.gpu
+def test_e9_cpu_and_cuda_agree_on_geometry(cuda_device, rng):
+    mesh = mixed_mesh(rng)
+    for settings in PATHS:
+        images = [
+            render(scene_of(mesh), pixel_camera(130), 150, 130, settings=settings, device=device)
+            for device in ("cpu", cuda_device)
+        ]
+        assert_same(*images)
+    ball = reference.sphere(1.0, 48, 64)
+    assert_same(*(ball_scene(ball.positions, ball.triangles, "back", device) for device in ("cpu", cuda_device)))
+
+
 @pytest.mark.parametrize("tile_size", [8, 32, 64])
 def test_r6_light_tiles_do_not_show(tile_size, rng):
     mesh = mixed_mesh(rng)
@@ -270,6 +298,21 @@ def test_l1_an_empty_scene_is_background(meshes, device):
     color = render(scene, wd.Camera(), 33, 17, outputs=("color", "display"), device=device)
     assert (color["color"] == np.array([0.25, 0.5, 1.0], np.float32)).all()
     assert (color["display"] == color["display"][0, 0]).all()
+
+
+def test_l6_the_length_of_normals_does_not_matter(device, rng):
+    corners = at_pixels([[2.0, 2.0], [60.0, 5.0], [50.0, 62.0], [3.0, 40.0]], SIZE, SIZE)
+    normals = reference.unit(rng.normal(size=(4, 3)) * 0.3 + [0.0, 0.0, 1.0])
+    faces = [[0, 2, 1], [0, 3, 2]]
+    images = []
+    for lengths in (np.ones(4), np.array([0.1, 1.0, 7.0, 1e-6])):
+        mesh = wd.Mesh(corners.astype(np.float32), faces, normals=(normals * lengths[:, None]).astype(np.float32))
+        images.append(render(scene_of(mesh), pixel_camera(SIZE), SIZE, SIZE, device=device))
+    assert np.abs(images[0]["normal"] - images[1]["normal"]).max() <= 1e-5
+    flat = wd.Mesh(corners.astype(np.float32), faces, normals=np.zeros((4, 3), np.float32))
+    image = render(scene_of(flat), pixel_camera(SIZE), SIZE, SIZE, device=device)
+    assert (image["normal"][image["triangle_id"] >= 0] == [0.0, 0.0, 1.0]).all()
+    assert (image["triangle_id"] >= 0).sum() > 1000
 
 
 def test_l7_degenerate_faces_do_not_show(device, rng):

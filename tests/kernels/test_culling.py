@@ -186,15 +186,22 @@ def test_clusters_with_a_visible_face_are_kept(orthographic, cull, device, rng):
     views["cull_mode"] = cull
     clusters, pairs = np.zeros(COUNT, dtype=Cluster.numpy_dtype()), np.zeros(COUNT, dtype=Pair.numpy_dtype())
     axis = reference.unit(rng.normal(size=(COUNT, 3)))
-    half_angle = rng.uniform(0.0, 1.4, COUNT)
+    half_angle = 1.4 * rng.random(COUNT) ** 2
     center = rng.normal(size=(COUNT, 3)) * 5.0
     radius = 2.0 ** rng.uniform(-8.0, 2.0, COUNT)
     eye = rng.normal(size=(COUNT, 3)) * 8.0
-    # One face of the cluster: a point in the sphere, a normal in the cone.
-    point = center + reference.unit(rng.normal(size=(COUNT, 3))) * (radius * rng.random(COUNT) ** (1 / 3))[:, None]
+    # One face of the cluster: a point in the sphere, a normal in the cone. Every other one is the face that is visible
+    # for longest: its normal leans to the eye as far as it may, its place is the farthest along it.
     lean = half_angle * np.sqrt(rng.random(COUNT))
-    across = reference.unit(np.cross(axis, rng.normal(size=(COUNT, 3))))
-    normal = np.cos(lean)[:, None] * axis + np.sin(lean)[:, None] * across
+    across = np.cross(axis, rng.normal(size=(COUNT, 3)))
+    to_eye = eye if orthographic else eye - center
+    worst = np.arange(COUNT) % 2 == 0
+    sign = 1.0 if cull == 1 else -1.0
+    lean[worst] = half_angle[worst]
+    across[worst] = sign * (to_eye - (to_eye * axis).sum(axis=1, keepdims=True) * axis)[worst]
+    normal = np.cos(lean)[:, None] * axis + np.sin(lean)[:, None] * reference.unit(across)
+    inside = reference.unit(rng.normal(size=(COUNT, 3))) * rng.random((COUNT, 1)) ** (1 / 3)
+    point = center + np.where(worst[:, None], -sign * normal, inside) * radius[:, None]
     towards = eye if orthographic else eye - point
     facing = (normal * towards).sum(axis=1)
     seen = facing > 0.0 if cull == 1 else facing < 0.0
