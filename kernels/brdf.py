@@ -62,7 +62,11 @@ def ggx_lobe(n: wp.vec3, h: wp.vec3, n_dot_l: wp.float32, n_dot_v: wp.float32, r
     alpha = roughness * roughness
     cross = wp.cross(n, h)
     a = wp.dot(n, h) * alpha
-    k = alpha / (wp.dot(cross, cross) + a * a)
+    # At least alpha² for unit vectors; 0 only where L = -V leaves no half vector.
+    spread = wp.dot(cross, cross) + a * a
+    if spread == 0.0:
+        return wp.float32(0.0)
+    k = alpha / spread
     a2 = alpha * alpha
     smith = n_dot_l * wp.sqrt(n_dot_v * n_dot_v * (1.0 - a2) + a2) + n_dot_v * wp.sqrt(
         n_dot_l * n_dot_l * (1.0 - a2) + a2

@@ -4,7 +4,7 @@ Every curve takes radiance clamped to [0, 65504], so that no finite input can le
 reinhard: x / (1 + x) per channel (Reinhard et al. 2002). aces: Narkowicz 2015, "ACES Filmic Tone Mapping Curve",
 x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14). pbr_neutral: Khronos PBR Neutral 1.0 (KhronosGroup/ToneMapping),
 which keeps base colours up to 0.8 and compresses highlights towards white. off: clamp to [0, 1].
-The encoding to 8 bits decides by the exact decoded thresholds between codes and guesses by square roots alone, so it
+The encoding to 8 bits decides by the exact decoded thresholds between codes and only guesses by a power, so it
 gives the same byte on every device (IEC 61966-2-1; Direct3D functional specification 3.2.3.8).
 """
 
@@ -15,13 +15,12 @@ import functools
 import numpy as np
 import warp as wp
 
+from .intrinsics import srgb_guess
+
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 CURVES = ("off", "reinhard", "aces", "pbr_neutral")
-#: sRGB code / 255 for values above 0.0031308 as a sum of their 2nd, 4th and 8th roots, themselves and a constant:
-#: a least-squares fit of ours, within 0.0083 codes everywhere.
-FIT = (0.6549044195148432, 0.6865497355179032, -0.316625421751976, -0.020348439599788437, -0.004512581755678868)
-#: Distance from a code's border within which the fit asks the exact thresholds [codes].
+#: Distance from a code's border within which the guess is checked by the exact thresholds [codes].
 DOUBT = 0.03
 
 
@@ -98,12 +97,7 @@ def srgb_code(value: wp.float32, thresholds: wp.array[wp.float32]):
     v = wp.clamp(value, 0.0, 1.0)
     encoded = v * 12.92
     if v > 0.0031308:
-        r2 = wp.sqrt(v)
-        r4 = wp.sqrt(r2)
-        r8 = wp.sqrt(r4)
-        encoded = (
-            r2 * wp.static(FIT[0]) + r4 * wp.static(FIT[1]) + r8 * wp.static(FIT[2]) + v * wp.static(FIT[3])
-        ) + wp.static(FIT[4])
+        encoded = srgb_guess(v)
     scaled = encoded * 255.0 + 0.5
     code = wp.int32(scaled)
     rest = scaled - wp.float32(code)

@@ -78,28 +78,48 @@ def make_write_fragment(depth_views: bool, behind: bool):
     """Function that combines one fragment into the keys."""
 
     @wp.func
-    def write_fragment(view: View, target: RasterTarget, index: wp.int32, z: wp.float32, identity: wp.uint32):
+    def write_fragment(
+        view: View, target: RasterTarget, index: wp.int32, z: wp.float32, identity: wp.uint32, crowded: bool
+    ):
         bits = float_bits(z)
         if wp.static(depth_views):
             if view.depth_only != 0:
-                if bits > target.depth_keys[index]:
+                if not crowded or bits > target.depth_keys[index]:
                     wp.atomic_max(target.depth_keys, index, bits)
                 return
         key = (wp.uint64(bits) << wp.uint64(32)) | wp.uint64(ALL_BITS - identity)
         if wp.static(behind):
             if key >= target.behind[index]:
                 return
-        # The plain read may be stale, never too large: a fragment that loses here would lose in the atomic too.
-        if key > target.keys[index]:
+        # Where the triangle's middle is hidden already, look before each write: the plain read may be stale, never too
+        # large: what loses here would lose in the atomic too. Elsewhere waiting for the read costs more than it saves.
+        if not crowded or key > target.keys[index]:
             wp.atomic_max(target.keys, index, key)
 
     return write_fragment
 
 
 @functools.cache
+def make_hidden_middle(depth_views: bool):
+    """Function that tells whether the pixel in the middle of a triangle's box is nearer already than all of it."""
+
+    @wp.func
+    def hidden_middle(view: View, target: RasterTarget, t: LargeTriangle, low: wp.vec2i, high: wp.vec2i):
+        index = pixel_index(view, (low[0] + high[0]) // 2, (low[1] + high[1]) // 2)
+        nearest = float_bits(accept_depth(view, wp.max(t.z[0], wp.max(t.z[1], t.z[2]))))
+        if wp.static(depth_views):
+            if view.depth_only != 0:
+                return target.depth_keys[index] > nearest
+        return wp.uint32(target.keys[index] >> wp.uint64(32)) > nearest
+
+    return hidden_middle
+
+
+@functools.cache
 def make_draw(depth_views: bool, behind: bool):
     """Functions that draw a snapped, oriented triangle: small (32-bit), direct (64-bit)."""
     write_fragment = make_write_fragment(depth_views, behind)
+    hidden_middle = make_hidden_middle(depth_views)
 
     @wp.func
     def draw_small(view: View, target: RasterTarget, t: LargeTriangle, low: wp.vec2i, high: wp.vec2i):
@@ -111,6 +131,7 @@ def make_draw(depth_views: bool, behind: bool):
         row1 = a1 * (x - t.p2[0]) + b1 * (y - t.p2[1])
         row2 = a2 * (x - t.p0[0]) + b2 * (y - t.p0[1])
         t0, t1, t2 = edge_threshold(a0, b0), edge_threshold(a1, b1), edge_threshold(a2, b2)
+        crowded = hidden_middle(view, target, t, low, high)
         area = wp.float32(b2 * (t.p2[1] - t.p0[1]) + a2 * (t.p2[0] - t.p0[0]))
         a0, a1, a2 = a0 * 256, a1 * 256, a2 * 256
         b0, b1, b2 = b0 * 256, b1 * 256, b2 * 256
@@ -124,7 +145,7 @@ def make_draw(depth_views: bool, behind: bool):
                 if e0 >= t0 and e1 >= t1 and e2 >= t2:
                     z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                     if z >= 0.0:
-                        write_fragment(view, target, index, z, t.id)
+                        write_fragment(view, target, index, z, t.id, crowded)
                 e0 += a0
                 e1 += a1
                 e2 += a2
@@ -144,6 +165,8 @@ def make_draw(depth_views: bool, behind: bool):
         row2 = wp.int64(a2) * wp.int64(x - t.p0[0]) + wp.int64(b2) * wp.int64(y - t.p0[1])
         t0, t1, t2 = edge_threshold(a0, b0), edge_threshold(a1, b1), edge_threshold(a2, b2)
         l0, l1, l2 = wp.int64(t0), wp.int64(t1), wp.int64(t2)
+        crowded = hidden_middle(view, target, t, low, high)
+        crowded = hidden_middle(view, target, t, low, high)
         area = wp.float32(wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0]))
         s0, s1, s2 = wp.int64(a0) * wp.int64(256), wp.int64(a1) * wp.int64(256), wp.int64(a2) * wp.int64(256)
         r0, r1, r2 = wp.int64(b0) * wp.int64(256), wp.int64(b1) * wp.int64(256), wp.int64(b2) * wp.int64(256)
@@ -157,7 +180,7 @@ def make_draw(depth_views: bool, behind: bool):
                 if e0 >= l0 and e1 >= l1 and e2 >= l2:
                     z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                     if z >= 0.0:
-                        write_fragment(view, target, index, z, t.id)
+                        write_fragment(view, target, index, z, t.id, crowded)
                 e0 += s0
                 e1 += s1
                 e2 += s2

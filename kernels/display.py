@@ -30,7 +30,7 @@ def make_display_kernel(curve: str, half: bool):
     """
     tone = tone_curve(curve)
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def display_kernel(
         # Frame
         views: wp.array[View],

@@ -1,6 +1,6 @@
-"""What Warp's language has no word for: bit casts, whole-vector loads, and lanes of a warp working together.
+"""What Warp's language has no word for: bit casts, whole-vector loads, memory shared by a block.
 
-On the CPU a warp is one lane: `ballot` sees one bit, `shuffle` returns the lane's own value. Functions only.
+On the CPU a block is one lane. Functions only.
 """
 
 from __future__ import annotations
@@ -31,42 +31,6 @@ def bits_float(bits: wp.uint32) -> wp.float32:
 """)
 def lowest_bit(bits: wp.uint32) -> wp.int32:
     """Index of the lowest set bit; bits must not be 0."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return 32;
-#else
-    return 1;
-#endif
-""")
-def warp_width() -> wp.int32:
-    """Lanes that work together."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __ballot_sync(0xffffffffu, predicate != 0);
-#else
-    return predicate != 0 ? 1u : 0u;
-#endif
-""")
-def ballot(predicate: wp.int32) -> wp.uint32:
-    """One bit a lane: where the predicate is not 0. Every lane of the warp must arrive."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, lane);
-#else
-    return value;
-#endif
-""")
-def shuffle(value: wp.int32, lane: wp.int32) -> wp.int32:
-    """Value of another lane. Every lane of the warp must arrive."""
     ...
 
 
@@ -115,4 +79,65 @@ def pack_half4(r: wp.float32, g: wp.float32, b: wp.float32) -> wp.uint64:
 """)
 def unpack_half3(word: wp.uint64) -> wp.vec3:
     """First three components of a half4."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+#endif
+""")
+def block_sync():
+    """Wait for all lanes of the block; every lane must arrive."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return blockDim.x;
+#else
+    return 1;
+#endif
+""")
+def block_width() -> wp.int32:
+    """Lanes of the block; 1 on the CPU."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ int4 words[1280];
+    if (storing) {
+        words[index] = make_int4(value[0], value[1], value[2], value[3]);
+        return value;
+    }
+    const int4 v = words[index];
+    return wp::vec_t<4, wp::int32>(v.x, v.y, v.z, v.w);
+#else
+    if (storing)
+        scratch.data[index] = value;
+    return scratch.data[index];
+#endif
+""")
+def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32, value: wp.vec4i) -> wp.vec4i:
+    """Store to, or read from, 20 KiB of memory that the block's lanes share; sync between the two.
+
+    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 1280 elements.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 1.055f * __powf(value, 0.41666667f) - 0.055f;
+#else
+    const float r2 = ::sqrtf(value), r4 = ::sqrtf(r2), r8 = ::sqrtf(r4);
+    return 0.65490442f * r2 + 0.68654974f * r4 - 0.31662542f * r8 - 0.02034844f * value - 0.00451258f;
+#endif
+""")
+def srgb_guess(value: wp.float32) -> wp.float32:
+    """Roughly the sRGB code / 255 of a value above 0.0031308: by the fast power on CUDA, elsewhere by roots alone.
+
+    The roots' factors are a least-squares fit of ours, within 0.0083 codes; the power is within 0.001.
+    """
     ...

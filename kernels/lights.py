@@ -181,7 +181,7 @@ def make_arrive(kinds: int, polynomial: bool):
             distance = wp.sqrt(d2)
             if distance == 0.0:
                 return result
-            result.direction = to_light / distance
+            result.direction = to_light * (1.0 / distance)
             ratio = d2 * shape[2]
             power = wp.max(1.0 - ratio * ratio, 0.0) / wp.max(d2, shape[1])
             if wp.static(polynomial):

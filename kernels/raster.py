@@ -1,10 +1,10 @@
 """Raster: clusters to visibility keys.
 
 One block of CLUSTER_SIZE lanes per work-list entry over a fixed grid with a stride loop; vertices are transformed in
-the lane itself. Three paths by the size of a triangle's pixel box, all writing the same bits: small ones are drawn by
-their lane, medium ones by the 32 lanes of its warp together, large ones are stored for the bins (bins.py). What does
-not fit there is drawn here all the same. Edge values are 32-bit wherever the extent is below 2^14 sub-pixels.
-On the CPU a lane is a loop already: there, small and medium are one path.
+the lane itself. Two paths by the size of a triangle's pixel box, both writing the same bits: small ones are drawn by
+their lane, large ones are stored for the bins (bins.py), and what does not fit there is drawn here all the same.
+Edge values are 32-bit wherever the extent is below 2^14 sub-pixels. A third path, medium triangles drawn by the 32
+lanes of a warp together, was tried and was slower on an H200 (docs/performance-notes.md).
 
 Block size 128. Keys are combined by maximum, so the result does not depend on any order.
 """
@@ -26,7 +26,7 @@ from .coverage import (
     orient,
     pixel_box,
 )
-from .intrinsics import ballot, bits_float, float_bits, load_vec4i, lowest_bit, shuffle, warp_width
+from .intrinsics import block_width, load_vec4i
 from .masking import make_discard
 from .projection import pixel_index, position_of, to_view, vertex_depth
 from .structs import (
@@ -49,9 +49,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 128
 #: Bounding boxes of up to this many pixels are drawn by their lane.
-SMALL_AREA_PX = 24
-#: Up to this many, by the lanes of its warp together.
-MEDIUM_AREA_PX = 1024
+SMALL_AREA_PX = 32
 #: (careful, masked, depth_views, behind): what CI compiles.
 VARIANTS = [
     (careful, masked, depth_views, behind)
@@ -65,21 +63,19 @@ VARIANTS = [
 def make_emit(depth_views: bool, behind: bool):
     """Functions that tell a triangle's path, store a large one, and draw by a single lane whatever comes.
 
-    `classify` returns 0: nothing to draw, 1: small, 2: medium, 3: large.
+    `classify` returns 0: nothing to draw, 1: small, 2: large.
     """
     draw_small, draw_direct = make_draw(depth_views, behind)
 
     @wp.func
-    def classify(t: LargeTriangle, box: wp.vec4i):
+    def classify(target: RasterTarget, t: LargeTriangle, box: wp.vec4i):
         wide, tall = box[2] - box[0] + 1, box[3] - box[1] + 1
         if t.id == ALL_BITS or wide <= 0 or tall <= 0:
             return 0
         if fits_32_bits(t):
-            if wide * tall <= wp.static(SMALL_AREA_PX) or warp_width() == 1:
+            if wide * tall <= wp.static(SMALL_AREA_PX) or (block_width() == 1 and target.large.shape[0] == 0):
                 return 1
-            if wide * tall <= wp.static(MEDIUM_AREA_PX):
-                return 2
-        return 3
+        return 2
 
     @wp.func
     def store_large(target: RasterTarget, t: LargeTriangle):
@@ -103,47 +99,6 @@ def make_emit(depth_views: bool, behind: bool):
 
 
 @functools.cache
-def make_draw_together(depth_views: bool, behind: bool):
-    """Function by which the lanes of a warp draw one lane's triangle together, pixel by pixel of its box."""
-    write_fragment = make_write_fragment(depth_views, behind)
-
-    @wp.func
-    def draw_together(
-        view: View, target: RasterTarget, mine: LargeTriangle, box: wp.vec4i, owner: wp.int32, lane: wp.int32
-    ):
-        x0, y0 = shuffle(mine.p0[0], owner), shuffle(mine.p0[1], owner)
-        x1, y1 = shuffle(mine.p1[0], owner), shuffle(mine.p1[1], owner)
-        x2, y2 = shuffle(mine.p2[0], owner), shuffle(mine.p2[1], owner)
-        z0 = bits_float(wp.uint32(shuffle(wp.int32(float_bits(mine.z[0])), owner)))
-        z1 = bits_float(wp.uint32(shuffle(wp.int32(float_bits(mine.z[1])), owner)))
-        z2 = bits_float(wp.uint32(shuffle(wp.int32(float_bits(mine.z[2])), owner)))
-        identity = wp.uint32(shuffle(wp.int32(mine.id), owner))
-        left, top = shuffle(box[0], owner), shuffle(box[1], owner)
-        wide, tall = shuffle(box[2], owner) - left + 1, shuffle(box[3], owner) - top + 1
-        a0, b0 = y1 - y2, x2 - x1
-        a1, b1 = y2 - y0, x0 - x2
-        a2, b2 = y0 - y1, x1 - x0
-        t0, t1, t2 = edge_threshold(a0, b0), edge_threshold(a1, b1), edge_threshold(a2, b2)
-        area = wp.float32(b2 * (y2 - y0) + a2 * (x2 - x0))
-        z = wp.vec3(z0, z1, z2)
-        k = lane
-        while k < wide * tall:
-            row = k // wide
-            px, py = left + k - row * wide, top + row
-            x, y = px * 256 + 128, py * 256 + 128
-            e0 = a0 * (x - x1) + b0 * (y - y1)
-            e1 = a1 * (x - x2) + b1 * (y - y2)
-            e2 = a2 * (x - x0) + b2 * (y - y0)
-            if e0 >= t0 and e1 >= t1 and e2 >= t2:
-                depth = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, z))
-                if depth >= 0.0:
-                    write_fragment(view, target, pixel_index(view, px, py), depth, identity)
-            k += warp_width()
-
-    return draw_together
-
-
-@functools.cache
 def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: bool):
     """Kernel that draws the plain or the careful end of the work list.
 
@@ -154,14 +109,13 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
         behind: Draw only what lies behind given keys.
     """
     classify, store_large, draw_alone = make_emit(depth_views, behind)
-    draw_together = make_draw_together(depth_views, behind)
     write_fragment = make_write_fragment(depth_views, behind)
     keep_fragment = make_discard()
 
     @wp.func
     def draw_single(view: View, target: RasterTarget, t: LargeTriangle):
         box = pixel_box(view, t)
-        kind = classify(t, box)
+        kind = classify(target, t, box)
         if kind != 0 and (kind == 1 or not store_large(target, t)):
             draw_alone(view, target, t, box)
 
@@ -195,7 +149,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
                 if e0 >= l0 and e1 >= l1 and e2 >= l2:
                     z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                     if z >= 0.0 and keep_fragment(view, pair, geometry, material, v, px, py):
-                        write_fragment(view, target, pixel_index(view, px, py), z, t.id)
+                        write_fragment(view, target, pixel_index(view, px, py), z, t.id, True)
 
     @wp.func
     def draw_clipped(
@@ -265,25 +219,6 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
             t = orient(pair, view, (flags & FLAG_TWO_SIDED) != 0, t)
         return t
 
-    @wp.func
-    def draw_plain(view: View, target: RasterTarget, t: LargeTriangle, lane: wp.int32):
-        # No lane may leave early: the warp works together below.
-        box = pixel_box(view, t)
-        kind = classify(t, box)
-        if kind == 1:
-            draw_alone(view, target, t, box)
-        if kind == 3:
-            if not store_large(target, t):
-                kind = 2
-                if not fits_32_bits(t):
-                    draw_alone(view, target, t, box)
-                    kind = 0
-        waiting = ballot(wp.where(kind == 2, 1, 0))
-        while waiting != wp.uint32(0):
-            owner = lowest_bit(waiting)
-            waiting = waiting & (waiting - wp.uint32(1))
-            draw_together(view, target, t, box, owner, lane % warp_width())
-
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def raster_kernel(
         # Frame
@@ -320,13 +255,11 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
                     v = wp.vec3i(corner[0], corner[1], corner[2])
                     draw_clipped(view, out_target, pair, geometry, materials, v, base + wp.uint32(corner[3]))
             else:
-                t = LargeTriangle()
-                t.id = ALL_BITS
                 if lane < cluster.count:
                     corner = load_vec4i(geometry.cluster_triangles, cluster.first + lane)
                     v = wp.vec3i(corner[0], corner[1], corner[2])
                     t = set_up(view, pair, geometry, v, base + wp.uint32(corner[3]))
-                draw_plain(view, out_target, t, lane)
+                    draw_single(view, out_target, t)
             e += stride
 
     return raster_kernel

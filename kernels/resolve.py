@@ -145,7 +145,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         if wp.static("triangle_id" in layers):
             out.triangle_id[i] = -1
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def resolve_kernel(
         # Frame
         views: wp.array[View],
@@ -252,7 +252,7 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
     return resolve_kernel
 
 
-@wp.kernel
+@wp.kernel(grid_stride=False)
 def depth_layer_kernel(
     # Frame
     views: wp.array[View],

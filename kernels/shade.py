@@ -95,7 +95,7 @@ def make_shade_kernel(
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def shade_kernel(
         # Frame
         views: wp.array[View],

@@ -1,6 +1,6 @@
 """Structs shared by all kernels, and the constants that host and device agree on.
 
-Sizes in bytes (asserted by tests/kernels/test_structs.py): View 192, Transform 64, Instance 88, Pair 96, Cluster 48,
+Sizes in bytes (asserted by tests/kernels/test_structs.py): View 184, Transform 64, Instance 80, Pair 92, Cluster 48,
 LargeTriangle 48, Material 128 on the device plus its textures' handles.
 
 Only arrays whose content may change from frame to frame hold per-frame values; a captured graph freezes what is

@@ -78,6 +78,7 @@ class Program:
         self.sections: list[Section] = []
         self.kernels: list[tuple[Any, int]] = []
         self._graph: Any = None
+        self._streams: list[wp.Stream] = []
 
     def begin(self, name: str) -> None:
         """Start the section of a pass."""
@@ -121,10 +122,13 @@ class Program:
             step.append(self._command(kernel, [count, *dims[1:]], values, outputs, block_dim, tiled))
         self.sections[-1].steps.append(step)
 
-    def launch_each(self, kernel: Any, launches: list[tuple[int, list[Any], list[Any]]], *, block_dim: int) -> None:
-        """Add launches of one kernel that may run side by side: (dim, inputs, outputs) each."""
-        self.kernels.append((kernel, block_dim))
-        step = [self._command(kernel, [dim], ins, outs, block_dim, False) for dim, ins, outs in launches if dim > 0]
+    def launch_together(self, launches: list[tuple[Any, int, list[Any], list[Any]]], *, block_dim: int) -> None:
+        """Add launches that may run side by side: (kernel, dim, inputs, outputs) each."""
+        step: list[Callable[[], Any]] = []
+        for kernel, dim, inputs, outputs in launches:
+            self.kernels.append((kernel, block_dim))
+            if dim > 0:
+                step.append(self._command(kernel, [dim], inputs, outputs, block_dim, False))
         if step:
             self.sections[-1].steps.append(step)
 
@@ -146,11 +150,29 @@ class Program:
         for step in section.steps:
             if len(step) == 1:
                 step[0]()
+            elif self.device.is_cuda:
+                self._fork(step)
             else:
                 others = [_pool(self.threads).submit(command) for command in step[1:]]
                 step[0]()
                 for other in others:
                     other.result()
+
+    def _fork(self, step: list[Callable[[], Any]]) -> None:
+        """Issue commands on streams of their own, joined before the next step; in a graph they become branches."""
+        while len(self._streams) < len(step) - 1:
+            self._streams.append(wp.Stream(self.device))
+        main = wp.get_stream(self.device)
+        start = main.record_event()
+        ends = []
+        for command, stream in zip(step[1:], self._streams, strict=False):
+            stream.wait_event(start)
+            with wp.ScopedStream(stream, sync_enter=False):
+                command()
+            ends.append(stream.record_event())
+        step[0]()
+        for end in ends:
+            main.wait_event(end)
 
     def load(self, progress: Callable[[str, int, int], None] | None = None) -> None:
         """Compile and load every kernel the program launches, so that capturing and replaying never do."""

@@ -64,11 +64,10 @@ class RasterPass(Pass):
         if self.binned:
             tiles = len(layout.bin_tiles)
             result["large_triangles"] = Buffer(structs.LargeTriangle, raster.large_capacity)
-            result["large_count"] = Buffer(wp.int32, 1, lasting=True)
             result["bin_entries"] = Buffer(wp.vec4i, max(raster.bin_capacity, 1))
-            result |= {
-                name: Buffer(wp.int32, tiles, lasting=True) for name in ("bin_counts", "bin_offsets", "bin_cursors")
-            }
+            result["bin_offsets"] = Buffer(wp.int32, tiles, lasting=True)
+            # Counts, cursors and the number of large triangles: one memset clears them all.
+            result["bin_state"] = Buffer(wp.int32, 2 * tiles + 1, lasting=True)
         return result
 
     def prepare(self, resources: Resources) -> None:
@@ -76,6 +75,11 @@ class RasterPass(Pass):
         depth_views, masked = self.layout.has_depth_views, self.request.features.masked
         self.plain = kernels.make_raster_kernel(False, False, depth_views, False)
         self.careful = kernels.make_raster_kernel(True, masked, depth_views, False)
+        channels = resources.channels
+        if self.binned:
+            state, tiles = channels["bin_state"], len(self.layout.bin_tiles)
+            channels["bin_counts"], channels["bin_cursors"] = state[:tiles], state[tiles : 2 * tiles]
+            channels["large_count"] = state[2 * tiles :]
         none = wp.zeros(0, dtype=structs.LargeTriangle, device=resources.device)
         self.targets = []
         for k in range(self.slices):
@@ -91,6 +95,7 @@ class RasterPass(Pass):
             self.bins = bin_kernels.Bins()
             for field in ("counts", "offsets", "cursors", "entries"):
                 setattr(self.bins, field, resources.channels[f"bin_{field}"])
+            self.bins.scratch = wp.zeros(1280, dtype=wp.vec4i, device=resources.device)
             if self.request.settings.raster.bin_capacity == 0:
                 self.bins.entries = wp.zeros(0, dtype=wp.vec4i, device=resources.device)
 
@@ -105,41 +110,38 @@ class RasterPass(Pass):
     def run(self, resources: Resources) -> None:
         """Clear, draw, bin, merge."""
         program = resources.program
-        for name in (
-            "keys",
-            "depth_keys",
-            "slice_keys",
-            "slice_depth_keys",
-            "large_count",
-            "bin_counts",
-            "bin_cursors",
-        ):
+        for name in ("keys", "depth_keys", "slice_keys", "slice_depth_keys", "bin_state"):
             if name in resources.channels:
                 program.call(resources.channels[name].zero_)
         if not self.request.candidates:
             return
-        self._draw(resources, self.plain, GRID_BLOCKS)
-        self._draw(resources, self.careful, CAREFUL_BLOCKS)
+        self._draw(resources)
         if self.binned:
             self._bin(resources)
         if self.slices > 1:
             self._merge(resources)
 
-    def _draw(self, resources: Resources, kernel: object, grid: int) -> None:
+    def _draw(self, resources: Resources) -> None:
         frame, scene, channels = resources.frame, resources.scene, resources.channels
         work = structs.WorkList()
         work.entries, work.counts = channels["work_entries"], channels["work_counts"]
         fixed = [frame.views, scene.geometry, scene.materials, channels["pairs"], work]
-        cluster = int(structs.CLUSTER_SIZE)
-        launches = []
+        cluster, candidates = int(structs.CLUSTER_SIZE), self.request.candidates
+        program, block = resources.program, kernels.BLOCK_DIM
         if resources.device.is_cuda:
-            blocks = min(grid, self.request.candidates)
-            launches.append((blocks * cluster, [*fixed, 0, 1, blocks], [self.targets[0]]))
-        else:
+            # Side by side: the few clusters that need care take as long as one of them, not as their number.
+            launches = []
+            for kernel, grid in ((self.plain, GRID_BLOCKS), (self.careful, CAREFUL_BLOCKS)):
+                blocks = min(grid, candidates)
+                launches.append((kernel, blocks * cluster, [*fixed, 0, 1, blocks], [self.targets[0]]))
+            program.launch_together(launches, block_dim=block)
+            return
+        for kernel in (self.plain, self.careful):
+            launches = []
             for k, target in enumerate(self.targets):
-                count = -(-(self.request.candidates - k) // self.slices)
-                launches.append((count * cluster, [*fixed, k, self.slices, 2**30], [target]))
-        resources.program.launch_each(kernel, launches, block_dim=kernels.BLOCK_DIM)
+                count = -(-(candidates - k) // self.slices)
+                launches.append((kernel, count * cluster, [*fixed, k, self.slices, 2**30], [target]))
+            program.launch_together(launches, block_dim=block)
 
     def _bin(self, resources: Resources) -> None:
         program, views, target = resources.program, resources.frame.views, self.targets[0]
