@@ -63,22 +63,24 @@ def test_culled_clusters_leave_no_hole(cull, device):
 
 
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-@pytest.mark.parametrize("mirror", [1.0, -1.0])
-def test_clusters_seen_from_close_by_are_not_taken_for_turned_away(mirror, projection, device):
+@pytest.mark.parametrize(("mirror", "cull"), [(1.0, "back"), (-1.0, "back"), (1.0, "front"), (-1.0, "front")])
+def test_clusters_seen_from_close_by_are_not_taken_for_turned_away(mirror, cull, projection, device):
     scene, rng = wd.Scene(), np.random.default_rng(5)
     # Eight clusters, each a large part of the ball: from nearby, some triangles face the eye and most do not.
     scene.add(sphere(16), transform=tilt(15.0, 25.0, (1.4 * mirror, 1.0, 0.8)), material=wd.Material(model="lambert"))
     names = ("instance_id", "triangle_id", "semantic_id", "material_id", "alpha", "depth")
-    renderer = make(scene, device, size=(40, 30), outputs=names)
+    renderer = make(scene, device, size=(40, 30), outputs=names, settings=FULL.with_values([f"raster.cull={cull}"]))
+    # From outside, or from between a wall and the middle of its cluster.
+    near, far = (1.02, 1.4) if cull == "back" else (0.7, 0.98)
     for _ in range(12):
         outward = rng.normal(size=3)
         outward /= np.linalg.norm(outward)
-        eye = scene.instances[0].transform[:3, :3] @ (outward * rng.uniform(1.02, 1.4))
+        eye = scene.instances[0].transform[:3, :3] @ (outward * rng.uniform(near, far))
         target = eye + np.cross(outward, rng.normal(size=3)) - 0.3 * outward
         camera = wd.Camera.look_at(
             eye, target, near=0.01, vertical_fov_deg=100.0, projection=projection, vertical_extent=2.5, far=5.0
         )
-        reference = render_reference(scene, camera, 40, 30)
+        reference = render_reference(scene, camera, 40, 30, cull=cull)
         assert_matches(images(renderer.render(camera)), reference, {}, unsure_share=0.01)
 
 
