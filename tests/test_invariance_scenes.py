@@ -6,6 +6,7 @@ from builders import FULL, LAYERS, Spy, assert_matches, assert_same, box, galler
 from reference_bridge import render_reference
 
 import warp_deferred as wd
+from warp_deferred.clustering import cut_clusters
 
 
 def make(scene, device, *, size=(64, 48), outputs=LAYERS, settings=FULL):
@@ -66,16 +67,22 @@ def test_culled_clusters_leave_no_hole(cull, device):
 @pytest.mark.parametrize(("mirror", "cull"), [(1.0, "back"), (-1.0, "back"), (1.0, "front"), (-1.0, "front")])
 def test_clusters_seen_from_close_by_are_not_taken_for_turned_away(mirror, cull, projection, device):
     scene, rng = wd.Scene(), np.random.default_rng(5)
-    # Eight clusters, each a large part of the ball: from nearby, some triangles face the eye and most do not.
-    scene.add(sphere(16), transform=tilt(15.0, 25.0, (1.4 * mirror, 1.0, 0.8)), material=wd.Material(model="lambert"))
+    ball = sphere(24)
+    scene.add(ball, transform=tilt(15.0, 25.0, (1.4 * mirror, 1.0, 0.8)), material=wd.Material(model="lambert"))
     names = ("instance_id", "triangle_id", "semantic_id", "material_id", "alpha", "depth")
     renderer = make(scene, device, size=(40, 30), outputs=names, settings=FULL.with_values([f"raster.cull={cull}"]))
-    # From outside, or from between a wall and the middle of its cluster.
-    near, far = (1.02, 1.4) if cull == "back" else (0.7, 0.98)
-    for _ in range(12):
-        outward = rng.normal(size=3)
-        outward /= np.linalg.norm(outward)
-        eye = scene.instances[0].transform[:3, :3] @ (outward * rng.uniform(near, far))
+    if cull == "back":
+        eyes = rng.normal(size=(10, 3))
+        eyes *= rng.uniform(1.02, 1.4, (10, 1)) / np.linalg.norm(eyes, axis=1, keepdims=True)
+    else:
+        # Between the middle of a narrow cluster and its wall: all of it shows its inside, though the eye is past it.
+        cut = cut_clusters(ball.positions, ball.triangles)
+        narrow = cut.cutoff < 0.95
+        depth = 1.0 - np.linalg.norm(cut.center[narrow], axis=1, keepdims=True)
+        eyes = cut.center[narrow] + 0.4 * depth * cut.axis[narrow]
+        assert len(eyes) >= 5
+    for point in eyes:
+        eye, outward = scene.instances[0].transform[:3, :3] @ point, point / np.linalg.norm(point)
         target = eye + np.cross(outward, rng.normal(size=3)) - 0.3 * outward
         camera = wd.Camera.look_at(
             eye, target, near=0.01, vertical_fov_deg=100.0, projection=projection, vertical_extent=2.5, far=5.0
