@@ -16,7 +16,7 @@ import numpy as np
 from warp_deferred.camera import Camera
 from warp_deferred.checks import check_count, check_range, input_error
 from warp_deferred.materials import Material
-from warp_deferred.scene import Environment, Instance, Scene
+from warp_deferred.scene import Environment, Scene
 
 from . import _furnishings as furnishings
 from . import _hall as hall
@@ -46,9 +46,6 @@ class _Motion:
     sweep: np.ndarray
     sweep_rate: np.ndarray
     sweep_phase: np.ndarray
-    glow: list[Instance]
-    lanterns: list[Instance]
-    rings: list[Instance]
 
 
 _motions: weakref.WeakKeyDictionary[Scene, _Motion] = weakref.WeakKeyDictionary()
@@ -172,7 +169,7 @@ def _add_window(scene: Scene) -> None:
         scene.add(shape.mesh("panes"), transform=place, material=glass, label=8)
 
 
-def _add_furnishings(scene: Scene) -> tuple[list[Instance], list[Instance]]:
+def _add_furnishings(scene: Scene) -> None:
     bronze = Material(base_color=(0.36, 0.24, 0.13, 1.0), metallic=1.0, roughness=0.38, name="bronze")
     gold = Material(base_color=(1.0, 0.76, 0.36, 1.0), metallic=0.6, roughness=0.36, name="gold")
     glaze = Material(base_color=(0.05, 0.16, 0.20, 1.0), roughness=0.2, name="glaze")
@@ -189,7 +186,8 @@ def _add_furnishings(scene: Scene) -> tuple[list[Instance], list[Instance]]:
                 label=4,
             )
     *rings, stand = furnishings.armillary_rings(1.7)
-    turning = [scene.add(s.mesh("rings"), transform=translation(*HEART), material=gold, label=5) for s in rings]
+    for shape in rings:
+        scene.add(shape.mesh("rings"), transform=translation(*HEART), material=gold, label=5)
     scene.add(stand.mesh("stand"), transform=translation(*HEART), material=bronze, label=5)
     top = float(stand.positions[:, 1].min() + HEART[1])
     scene.add(
@@ -199,25 +197,23 @@ def _add_furnishings(scene: Scene) -> tuple[list[Instance], list[Instance]]:
         label=3,
     )
     body = furnishings.lantern(1.9).mesh("lantern")
-    lanterns = [scene.add(body, material=bronze, label=6) for _ in range(2 * hall.BAYS)]
-    return turning, lanterns
+    for _ in range(2 * hall.BAYS):
+        scene.add(body, material=bronze, label=6)
 
 
-def _add_glow(scene: Scene, points: dict[str, np.ndarray]) -> list[Instance]:
+def _add_glow(scene: Scene, points: dict[str, np.ndarray]) -> None:
     """One glowing ball a point light; few meshes and materials, shared by size and colour."""
     meshes = {
         size: sphere(size, *((32, 16) if size > 0.06 else (12, 6))).mesh("glow") for size in np.unique(points["size"])
     }
     materials: dict[tuple, Material] = {}
-    glow = []
     for color, size in zip(points["color"], points["size"], strict=True):
         key = tuple(color)
         if key not in materials:
             black = (0.0, 0.0, 0.0, 1.0)
             emitted = tuple(float(1.6 * c) for c in key)
             materials[key] = Material(base_color=black, emissive=emitted, roughness=1.0, name="glow")
-        glow.append(scene.add(meshes[size], material=materials[key], label=7))
-    return glow
+        scene.add(meshes[size], material=materials[key], label=7)
 
 
 def build(*, seed: int = 7, brightness: float = 1.0) -> Scene:
@@ -237,8 +233,9 @@ def build(*, seed: int = 7, brightness: float = 1.0) -> Scene:
     )
     _add_stone(scene, rng)
     _add_window(scene)
-    rings, lanterns = _add_furnishings(scene)
+    _add_furnishings(scene)
     points, spots = _add_lights(scene, rng)
+    _add_glow(scene, points)
     for group in (scene.lights.point, scene.lights.spot):
         group.intensity = group.intensity * factor
     count, spot_count = len(points["centre"]), len(spots["place"])
@@ -251,9 +248,6 @@ def build(*, seed: int = 7, brightness: float = 1.0) -> Scene:
         sweep=spots["sweep"],
         sweep_rate=rng.integers(1, 3, spot_count) * (2.0 * np.pi / PERIOD),
         sweep_phase=rng.uniform(0.0, 2.0 * np.pi, spot_count),
-        glow=_add_glow(scene, points),
-        lanterns=lanterns,
-        rings=rings,
     )
     animate(scene, 0.0)
     return scene
@@ -287,12 +281,13 @@ def animate(scene: Scene, time: float) -> None:
     scene.lights.spot.direction = (
         motion.aim + (reach * np.cos(angle))[:, None] * right + (reach * np.sin(angle))[:, None] * up
     )
+    # What moves is found by the name of its mesh: keeping the instances here would keep their scene alive for ever.
     matrix = np.eye(4)
-    for instance, place in zip(motion.glow, position, strict=True):
-        matrix[:3, 3] = place
-        instance.transform = matrix
-    for instance, place in zip(motion.lanterns, position, strict=False):
-        matrix[:3, 3] = place
-        instance.transform = matrix
-    for k, instance in enumerate(motion.rings):
-        instance.transform = translation(*HEART, turn=2.0 * np.pi * time / PERIOD * (1, -2, 3)[k])
+    places = {"glow": iter(position), "lantern": iter(position)}
+    turns = iter((1.0, -2.0, 3.0))
+    for instance in scene.instances:
+        if instance.mesh.name in places:
+            matrix[:3, 3] = next(places[instance.mesh.name])
+            instance.transform = matrix
+        elif instance.mesh.name == "rings":
+            instance.transform = translation(*HEART, turn=2.0 * np.pi * time / PERIOD * next(turns))

@@ -1,6 +1,8 @@
 """The built-in scenes: repeatable, countable, moving as they say, and right where the answer has a closed form."""
 
+import gc
 import inspect
+import weakref
 
 import numpy as np
 import pytest
@@ -183,6 +185,16 @@ def test_hundred_lights_assigns_one_array_a_kind():
     revision = scene.lights.revision
     scene.animate(scene, 1.0)
     assert scene.lights.revision - revision == 2
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_a_scene_that_moves_is_let_go(name):
+    scene = load(SMALL[name])
+    scene.animate(scene, 1.0)
+    watch = weakref.ref(scene)
+    del scene
+    gc.collect()
+    assert watch() is None
 
 
 def test_animating_a_foreign_scene_says_whose_it_must_be():

@@ -215,8 +215,8 @@ class DeviceScene:
     def _ranges(self, starts: dict[int, tuple[int, int]]) -> None:
         """World -> (first instance, instances, first slot, slots); -1 is what every world shares."""
         worlds = sorted(starts)
-        # An empty scene has no world at all.
-        ends = [*(starts[w] for w in worlds[1:]), (self.instance_count, self.cluster_slots)][: len(worlds)]
+        # Without instances there is no world, and nothing that ends.
+        ends = [starts[w] for w in worlds[1:]] + [(self.instance_count, self.cluster_slots)] * bool(worlds)
         self._world_ranges = {
             w: (starts[w][0], e[0] - starts[w][0], starts[w][1], e[1] - starts[w][1])
             for w, e in zip(worlds, ends, strict=True)

@@ -1,0 +1,208 @@
+"""Command line of the benches: `python -m bench NAME`.
+
+Progress goes to stderr, the names of files written to stdout. Exit codes: 0 done, 1 the generated files are out of
+date (`report --check`), 2 an error in what was asked.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from warp_deferred.errors import Error
+
+__all__ = ["main"]
+
+app = typer.Typer(
+    name="bench",
+    help="Time frozen cases; write results as JSON, and tables and plots made from them.",
+    epilog="Device times are those of CUDA graph replays; on the CPU, wall-clock times.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+Device = Annotated[str, typer.Option("--device", metavar="D", help="cpu, cuda:0, ...")]
+Json = Annotated[str | None, typer.Option("--json", metavar="F", help="Write the result here.")]
+Plot = Annotated[str | None, typer.Option("--plot", metavar="F.png", help="Draw the result here.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Small cases and few repeats: does it run?")]
+Sets = Annotated[
+    list[str] | None, typer.Option("--set", metavar="STAGE.FIELD=VALUE", help="Change a setting; may be repeated.")
+]
+
+
+def _note(text: str) -> None:
+    typer.echo(f"  {text}", err=True)
+
+
+def _measure(
+    name: str, run: Callable[..., dict[str, Any]], device: str, quick: bool, sets: list[str] | None, **more: Any
+) -> dict[str, Any]:
+    """Run a bench and return its record."""
+    import warp as wp
+
+    from warp_deferred.errors import DeviceError
+    from warp_deferred.settings import Settings
+
+    from . import record
+
+    # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
+    wp.config.log_level = wp.LOG_WARNING
+    settings = Settings().with_values(list(sets or ()))
+    try:
+        chosen = wp.get_device(device)
+    except (ValueError, RuntimeError):
+        known = ", ".join(str(d) for d in wp.get_devices())
+        raise DeviceError(f"--device: expected one of {known}, got {device!r}; check the name") from None
+    started = time.perf_counter()
+    _note(f"{name} on {chosen.name}")
+    head = record.header(name, chosen, quick=quick, settings=list(sets or ()))
+    with wp.ScopedDevice(chosen):
+        result = head | run(chosen, quick=quick, settings=settings, note=_note, **more)
+    _note(f"{len(result['rows'])} rows in {time.perf_counter() - started:.0f} s")
+    return result
+
+
+def _bench(
+    name: str,
+    device: str,
+    json_path: str | None,
+    plot: str | None,
+    quick: bool,
+    sets: list[str] | None,
+    **more: Any,
+) -> None:
+    """Run the bench of that name and write what was asked for; the table to stdout where nothing was."""
+    import importlib
+
+    from . import record, tables
+
+    if plot is not None:
+        from . import plots
+
+        plots.check_target(plot)  # before minutes of measuring, not after
+    result = _measure(name, importlib.import_module(f"{__package__}.{name}").run, device, quick, sets, **more)
+    if json_path is None and plot is None:
+        typer.echo(tables.full_table(result))
+    if json_path is not None:
+        typer.echo(f"wrote {record.write(json_path, result)}")
+    if plot is not None:
+        typer.echo(f"wrote {plots.draw(result, plot)}")
+
+
+@app.command()
+def tiles(
+    device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
+) -> None:
+    """Tile size by number of lights by resolution: culling, shading, lights per tile."""
+    _bench("tiles", device, json, plot, quick, set_)
+
+
+@app.command()
+def triangles(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Annotated[str, typer.Option("--only", metavar="CASE", help="Run this case alone, such as quads.")] = "",
+) -> None:
+    """Six distributions of triangles: the G-buffer, or visibility alone."""
+    from warp_deferred.checks import check_choice
+
+    from .cases import TRIANGLE_CASES
+
+    if only:
+        check_choice("--only", only, [case.name for case in TRIANGLE_CASES])
+    _bench("triangles", device, json, plot, quick, set_, only=only)
+
+
+@app.command()
+def lights(
+    device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
+) -> None:
+    """1 to 10 000 lights of which 5, 20 and 80 reach a pixel; brute force beside."""
+    _bench("lights", device, json, plot, quick, set_)
+
+
+@app.command()
+def frame(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    huge: Annotated[bool, typer.Option("--huge", help="Render 16384x16384 pixels, too (about 10 GB).")] = False,
+) -> None:
+    """Whole frames, pass by pass, as multiples of their memory floor."""
+    _bench("frame", device, json, plot, quick, set_, huge=huge)
+
+
+@app.command()
+def host(
+    device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
+) -> None:
+    """What one `render` with a new camera costs the calling thread."""
+    _bench("host", device, json, plot, quick, set_)
+
+
+@app.command()
+def preview(
+    out: Annotated[str, typer.Option("--out", "-o", metavar="DIR", help="Folder for the pictures.")] = "out/bench",
+    device: Device = "cuda:0",
+    quick: Quick = False,
+) -> None:
+    """Write a picture of every case that is timed."""
+    from . import preview as bench
+
+    def run(chosen: Any, **options: Any) -> dict[str, Any]:
+        return {"rows": bench.run(chosen, Path(out), **options)}
+
+    for name in _measure("preview", run, device, quick, None)["rows"]:
+        typer.echo(f"wrote {name}")
+
+
+@app.command()
+def report(
+    check: Annotated[
+        bool, typer.Option("--check", help="Write nothing; exit with 1 if a text is out of date.")
+    ] = False,
+    root: Annotated[str, typer.Option("--root", metavar="DIR", help="Folder of README.md, docs and results.")] = ".",
+) -> None:
+    """Write the tables and plots of docs/benchmarks.md and of README.md from bench/results/*.json."""
+    from . import report as bench
+
+    changed = bench.run(Path(root), check=check)
+    for path in changed:
+        typer.echo(f"{'out of date: ' if check else 'wrote '}{path}")
+    if check and changed:
+        raise typer.Exit(1)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a bench; errors of the package's kinds and usage errors become one line on stderr."""
+    try:
+        result = app(args=None if argv is None else list(argv), prog_name="python -m bench", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except Error as error:
+        message = str(error)
+    except (KeyboardInterrupt, typer.Abort):
+        message = "interrupted"
+    except Exception as error:
+        # Usage errors belong to click, which typer carries along under changing names.
+        if not hasattr(error, "format_message"):
+            raise
+        if type(error).__name__ == "NoArgsIsHelpError":
+            return 2  # the help is on the screen already
+        message = f"{error.format_message().rstrip('.')}; see python -m bench --help"
+    typer.echo("error: " + " ".join(message.split()), err=True)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,71 @@
+"""Bench `frame`: whole frames, pass by pass, beside the least time their memory traffic allows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from warp_deferred import Settings, load
+
+from .cases import FrameCase, frame_cases
+from .probe import bytes_by_pass, lit_lights, open_scene, plan_of, raster_counts
+from .record import Record
+from .timing import REPEATS, copy_bandwidth, time_passes, time_program
+
+__all__ = ["pass_names", "run"]
+
+
+def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, huge: bool = False) -> Record:
+    """Time every frame and its passes.
+
+    Args:
+        device: Where to run.
+        quick: A small case and few repeats.
+        settings: Settings of all cases.
+        note: Function of a text that tells how far it is.
+        huge: Whether to render 16384x16384 pixels, too.
+
+    Returns:
+        Copy bandwidth and one row a frame. Metrics: `frame.*` is the graph of the whole frame, `pass.NAME.*` each pass
+        as a graph of its own, `pass.NAME.times_floor` its time over its bytes at the copy bandwidth.
+    """
+    bandwidth = copy_bandwidth(device)
+    rows = []
+    for case in frame_cases(device.is_cuda, quick=quick, huge=huge):
+        note(case.title)
+        rows.append(_row(case, device, settings, bandwidth, 5 if quick else REPEATS))
+    return {"copy_bytes_per_s": round(bandwidth), "rows": rows}
+
+
+def _row(case: FrameCase, device: wp.Device, settings: Settings, bandwidth: float, repeats: int) -> dict[str, Any]:
+    scene, size = load(case.source), (case.width, case.height)
+    row: dict[str, Any] = {
+        "case": case.name, "title": case.title, "source": case.source, "width": case.width, "height": case.height,
+        "triangles": scene.triangle_count, "lights": len(scene.lights),
+    }  # fmt: skip
+    row |= lit_lights(scene, size, device, settings)
+    renderer = open_scene(scene, size, device, ("display",))
+    plan = plan_of(renderer, settings)
+    program = plan.resources.program
+    whole = time_program(program, repeats=repeats)
+    moved = bytes_by_pass(plan)
+    row |= whole.metrics("frame") | _floor("frame", whole.median, sum(moved.values()), bandwidth)
+    passes = time_passes(program, repeats=repeats)
+    for name, timing in passes.items():
+        row |= timing.metrics(f"pass.{name}") | _floor(f"pass.{name}", timing.median, moved[name], bandwidth)
+    row["passes.sum_ms"] = round(sum(t.median for t in passes.values()), 5)
+    memory = renderer.memory_report()
+    row |= {"memory.bytes": memory.total, "scene.bytes": memory.scene}
+    return row | raster_counts(plan)
+
+
+def _floor(name: str, milliseconds: float, moved: int, bandwidth: float) -> dict[str, float]:
+    floor = moved / bandwidth * 1e3
+    row: dict[str, float] = {f"{name}.bytes": moved, f"{name}.floor_ms": round(floor, 6)}
+    return row | ({f"{name}.times_floor": round(milliseconds / floor, 2)} if floor > 0.0 else {})
+
+
+def pass_names(row: dict[str, Any]) -> list[str]:
+    """Names of the passes of a row, in frame order."""
+    return [key.split(".")[1] for key in row if key.startswith("pass.") and key.endswith(".ms")]
