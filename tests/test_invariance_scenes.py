@@ -6,6 +6,7 @@ from builders import FULL, LAYERS, Spy, assert_matches, assert_same, box, galler
 from reference_bridge import render_reference
 
 import warp_deferred as wd
+from warp_deferred.clustering import cut_clusters
 
 
 def make(scene, device, *, size=(64, 48), outputs=LAYERS, settings=FULL):
@@ -60,6 +61,34 @@ def test_culled_clusters_leave_no_hole(cull, device):
     color = (3e-5, 0.005, 5e-3) if device == "cpu" else (4e-3, 0.01, 5e-2)
     bounds = {"depth": (2e-6, 0.02, 2e-3), "normal": (1e-5, 0.0, 5e-5), "color": color}
     assert_matches(image, reference, bounds, unsure_share=0.003)
+
+
+@pytest.mark.parametrize("projection", ["perspective", "orthographic"])
+@pytest.mark.parametrize(("mirror", "cull"), [(1.0, "back"), (-1.0, "back"), (1.0, "front"), (-1.0, "front")])
+def test_clusters_seen_from_close_by_are_not_taken_for_turned_away(mirror, cull, projection, device):
+    scene, rng = wd.Scene(), np.random.default_rng(5)
+    ball = sphere(24)
+    scene.add(ball, transform=tilt(15.0, 25.0, (1.4 * mirror, 1.0, 0.8)), material=wd.Material(model="lambert"))
+    names = ("instance_id", "triangle_id", "semantic_id", "material_id", "alpha", "depth")
+    renderer = make(scene, device, size=(40, 30), outputs=names, settings=FULL.with_values([f"raster.cull={cull}"]))
+    if cull == "back":
+        eyes = rng.normal(size=(10, 3))
+        eyes *= rng.uniform(1.02, 1.4, (10, 1)) / np.linalg.norm(eyes, axis=1, keepdims=True)
+    else:
+        # Between the middle of a narrow cluster and its wall: all of it shows its inside, though the eye is past it.
+        cut = cut_clusters(ball.positions, ball.triangles)
+        narrow = cut.cutoff < 0.95
+        depth = 1.0 - np.linalg.norm(cut.center[narrow], axis=1, keepdims=True)
+        eyes = cut.center[narrow] + 0.4 * depth * cut.axis[narrow]
+        assert len(eyes) >= 5
+    for point in eyes:
+        eye, outward = scene.instances[0].transform[:3, :3] @ point, point / np.linalg.norm(point)
+        target = eye + np.cross(outward, rng.normal(size=3)) - 0.3 * outward
+        camera = wd.Camera.look_at(
+            eye, target, near=0.01, vertical_fov_deg=100.0, projection=projection, vertical_extent=2.5, far=5.0
+        )
+        reference = render_reference(scene, camera, 40, 30, cull=cull)
+        assert_matches(images(renderer.render(camera)), reference, {}, unsure_share=0.01)
 
 
 def rotated(mesh):

@@ -174,3 +174,31 @@ def test_b5_flat_plane_under_a_directional_light_is_the_closed_form(device):
     renderer = wd.Renderer(scene, width=32, height=32, device=device, outputs=("color",), settings=FULL)
     expected = np.array([0.5, 0.25, 1.0]) / np.pi * 3.0 * (1.0 / np.linalg.norm(direction))
     assert np.abs(renderer.render().numpy("color")[0] / expected - 1.0).max() <= 1e-6
+
+
+#: Error that a normal codec leaves in the colour, relative to colour + 0.05: 99 % of the pixels, and all of them.
+CODECS = {
+    "rgb8": (0.02, 0.12),
+    "oct16": (0.04, 0.25),
+    "oct24": (2.5e-3, 0.02),
+    "xy16": (2e-4, 2e-3),
+    "oct32": (2e-4, 2e-3),
+}
+
+
+def test_g1_normal_codecs_keep_the_colour_within_their_angles(device):
+    scene = gallery()
+
+    def color(codec):
+        settings = wd.Settings().with_values([f"gbuffer.normal={codec}"])
+        renderer = wd.Renderer(
+            scene, width=SIZE[0], height=SIZE[1], device=device, outputs=("color",), settings=settings
+        )
+        return images(renderer.render())["color"].astype(float)
+
+    exact, worst = color("float32"), []
+    for codec, (most, every) in CODECS.items():
+        error = (np.abs(color(codec) - exact) / (exact + 0.05)).max(axis=2)
+        assert np.quantile(error, 0.99) <= most and error.max() <= every, codec
+        worst.append(error.max())
+    assert worst[1] > worst[0] > worst[2] > max(worst[3:]) > 0.0, "finer codecs should err less"
