@@ -65,7 +65,7 @@ def test_l1_empty_scenes_and_single_points_are_framed():
     assert abs(x[0]) < 0.3 and abs(y[0]) < 0.3 and depth[0] > point.near
 
 
-def test_dark_scene_gets_key_fill_and_ambient():
+def test_dark_scene_gets_key_fill_rim_and_ambient():
     scene = scene_with(BOX)
     scene.cameras.append(frame_camera(scene))
     notes = light_if_dark(scene)
@@ -75,10 +75,44 @@ def test_dark_scene_gets_key_fill_and_ambient():
     # The key comes from the upper left of the camera and is warm; the fill is weaker and from the other side.
     assert sun.direction[0] @ right > 0 and sun.direction[0] @ up < 0 and sun.direction[0] @ back < 0
     assert sun.direction[1] @ right < 0 and sun.intensity[1] < 0.5 * sun.intensity[0]
+    # The rim comes from behind, towards the camera.
+    assert sun.direction[2] @ back > 0
     assert sun.color[0, 0] > sun.color[0, 2] and min(scene.environment.ambient) > 0
     background = scene.environment.background
     assert 0 < max(background) < 0.1 and background[2] > background[0]
-    assert light_if_dark(scene) == [] and len(sun) == 2
+    assert light_if_dark(scene) == [] and len(sun) == 3
+
+
+def test_metal_gets_lamps_to_reflect():
+    plain, metal = scene_with(BOX, metallic=0.0), scene_with(BOX, metallic=1.0)
+    light_if_dark(plain), light_if_dark(metal)
+    assert len(plain.lights) == 3 and len(metal.lights) > 20 and "metal" in metal.notes[0]
+    lamps = metal.lights.directional
+    # From all sides and from above, each far weaker than the key; a diffuse surface gets about as much light as before.
+    dome = lamps.direction[3:]
+    assert (dome.min(axis=0) < -0.6).all() and (dome[:, [0, 2]].max(axis=0) > 0.6).all()
+    assert dome.mean(axis=0) @ np.array(frame_camera(metal).rotation[3:6]) < -0.1
+    assert lamps.intensity[3:].max() < 0.1 * lamps.intensity[0]
+    assert max(metal.environment.ambient) < max(plain.environment.ambient)
+
+
+def test_vertices_and_not_their_box_are_framed():
+    # A tall spike on a flat disk: the box has corners that nothing fills.
+    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    disk = np.stack([np.cos(angle), 0.0 * angle, np.sin(angle)], axis=1)
+    points = np.concatenate([disk, [[0.0, 3.0, 0.0]]])
+    scene = wd.Scene()
+    scene.add(wd.Mesh(points, [[k, (k + 1) % 12, 12] for k in range(12)]))
+    x, y, _ = project(frame_camera(scene), points, 16 / 9)
+    assert y.max() == pytest.approx(0.92, abs=1e-6) and y.min() == pytest.approx(-0.92, abs=1e-6)
+    assert x.max() == pytest.approx(-x.min(), abs=1e-6)
+
+
+def test_scenes_of_too_many_vertices_are_framed_by_their_box(monkeypatch):
+    scene = scene_with(BOX)
+    exact = frame_camera(scene)
+    monkeypatch.setattr("warp_deferred.framing.MAX_POINTS", 7)
+    assert np.allclose(frame_camera(scene).position, exact.position)
 
 
 @pytest.mark.parametrize("light", [wd.PointLight(), wd.SpotLight(), wd.DirectionalLight()])

@@ -161,6 +161,8 @@ def _load_file(path: Path, text: str) -> Scene:
     else:
         scene = _load_model(path, report)
     scene.notes += report.notes
+    if not scene.triangle_count:
+        scene.notes.append("no triangles in the file: the picture is background only")
     if not scene.cameras:
         scene.cameras.append(frame_camera(scene))
         scene.notes.append("no camera in the file: framed all of it")

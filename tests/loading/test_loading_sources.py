@@ -116,14 +116,16 @@ def test_paths_may_be_text_or_path_and_suffixes_of_any_case(gltf, tmp_path):
 
 
 def test_file_without_camera_and_light_gets_both_and_says_so(gltf):
-    gltf.node(mesh=gltf.mesh(gltf.primitive()))
+    # A material that says nothing is metal in glTF.
+    material = gltf.add("materials", {"pbrMetallicRoughness": {"metallicFactor": 0.0}})
+    gltf.node(mesh=gltf.mesh(gltf.primitive(material=material)))
     scene = load(gltf.write())
     assert scene.name == "model.glb"
     assert scene.notes == [
         "no camera in the file: framed all of it",
-        "no light in the file: added a key light, a fill light and ambient light",
+        "no light in the file: added key, fill, rim and ambient light",
     ]
-    assert len(scene.cameras) == 1 and len(scene.lights.directional) == 2
+    assert len(scene.cameras) == 1 and len(scene.lights.directional) == 3
     assert min(scene.environment.ambient) > 0.0
 
 
