@@ -49,7 +49,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 128
 #: Bounding boxes of up to this many pixels are drawn by their lane.
-SMALL_AREA_PX = 32
+SMALL_AREA_PX = 96
 #: (careful, masked, depth_views, behind): what CI compiles.
 VARIANTS = [
     (careful, masked, depth_views, behind)

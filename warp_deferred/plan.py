@@ -130,7 +130,7 @@ class Plan:
         for k, stage in enumerate(self.passes):
             for name, buffer in stage.writes().items():
                 if buffer.dtype is not None:
-                    buffers[name], born[name] = buffer, k if self.request.share_memory else 0
+                    buffers[name], born[name] = buffer, max(0, k - buffer.early) if self.request.share_memory else 0
                     dies[name] = len(self.passes) if buffer.lasting or not self.request.share_memory else k
             for name in stage.reads():
                 dies[name] = max(dies.get(name, k), k)
