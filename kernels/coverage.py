@@ -147,16 +147,11 @@ def make_draw(depth_views: bool, behind: bool):
             e1 = row1
             e2 = row2
             index = pixel_index(view, low[0], py)
-            entered = wp.bool(False)
             for _px in range(low[0], high[0] + 1):
                 if e0 >= t0 and e1 >= t1 and e2 >= t2:
-                    entered = True
                     z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                     if z >= 0.0:
                         write_fragment(view, target, index, z, t.id, crowded)
-                elif entered:
-                    # A row of a triangle is one run of pixels.
-                    break
                 e0 += a0
                 e1 += a1
                 e2 += a2
@@ -187,16 +182,11 @@ def make_draw(depth_views: bool, behind: bool):
             e1 = row1
             e2 = row2
             index = pixel_index(view, low[0], py)
-            entered = wp.bool(False)
             for _px in range(low[0], high[0] + 1):
                 if e0 >= l0 and e1 >= l1 and e2 >= l2:
-                    entered = True
                     z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
                     if z >= 0.0:
                         write_fragment(view, target, index, z, t.id, crowded)
-                elif entered:
-                    # A row of a triangle is one run of pixels.
-                    break
                 e0 += s0
                 e1 += s1
                 e2 += s2
