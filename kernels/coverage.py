@@ -26,6 +26,9 @@ from .structs import (
     View,
 )
 
+#: Boxes of more pixels than this look at their middle before they are drawn.
+PROBE_AREA_PX = 24
+
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
@@ -131,7 +134,10 @@ def make_draw(depth_views: bool, behind: bool):
         row1 = a1 * (x - t.p2[0]) + b1 * (y - t.p2[1])
         row2 = a2 * (x - t.p0[0]) + b2 * (y - t.p0[1])
         t0, t1, t2 = edge_threshold(a0, b0), edge_threshold(a1, b1), edge_threshold(a2, b2)
-        crowded = hidden_middle(view, target, t, low, high)
+        crowded = wp.bool(False)
+        # Not worth a wait for a handful of pixels.
+        if (high[0] - low[0] + 1) * (high[1] - low[1] + 1) > wp.static(PROBE_AREA_PX):
+            crowded = hidden_middle(view, target, t, low, high)
         area = wp.float32(b2 * (t.p2[1] - t.p0[1]) + a2 * (t.p2[0] - t.p0[0]))
         a0, a1, a2 = a0 * 256, a1 * 256, a2 * 256
         b0, b1, b2 = b0 * 256, b1 * 256, b2 * 256

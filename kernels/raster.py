@@ -49,7 +49,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 128
 #: Bounding boxes of up to this many pixels are drawn by their lane.
-SMALL_AREA_PX = 32
+SMALL_AREA_PX = 96
+LAUNCH_BOUNDS = None
 #: (careful, masked, depth_views, behind): what CI compiles.
 VARIANTS = [
     (careful, masked, depth_views, behind)
@@ -219,7 +220,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
             t = orient(pair, view, (flags & FLAG_TWO_SIDED) != 0, t)
         return t
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=LAUNCH_BOUNDS)
     def raster_kernel(
         # Frame
         views: wp.array[View],

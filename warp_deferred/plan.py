@@ -35,6 +35,8 @@ PASSES: tuple[type[Pass], ...] = (
     ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
 )  # fmt: skip
 ALIGNMENT = 256
+#: One alignment unit as an array element.
+UNIT = wp.types.vector(length=32, dtype=wp.float64)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,7 +132,7 @@ class Plan:
         for k, stage in enumerate(self.passes):
             for name, buffer in stage.writes().items():
                 if buffer.dtype is not None:
-                    buffers[name], born[name] = buffer, k if self.request.share_memory else 0
+                    buffers[name], born[name] = buffer, max(0, k - buffer.early) if self.request.share_memory else 0
                     dies[name] = len(self.passes) if buffer.lasting or not self.request.share_memory else k
             for name in stage.reads():
                 dies[name] = max(dies.get(name, k), k)
@@ -138,7 +140,8 @@ class Plan:
         sizes = {n: _padded(b.count * wp.types.type_size_in_bytes(b.dtype)) for n, b in buffers.items()}
         places, total = _place(transient, sizes, born, dies)
         device = self.resources.device
-        self.arena = wp.zeros(max(total, 1), dtype=wp.uint8, device=device)
+        # Whole alignment units as elements: an arena of bytes would end at 2 GiB.
+        self.arena = wp.zeros(max(total, ALIGNMENT) // ALIGNMENT, dtype=UNIT, device=device)
         channels = self.resources.channels
         for name in transient:
             buffer = buffers[name]

@@ -132,9 +132,19 @@ class Program:
         if step:
             self.sections[-1].steps.append(step)
 
-    def call(self, function: Callable[[], Any]) -> None:
-        """Add a device operation that is no kernel of ours: a memset or a scan."""
-        self.sections[-1].steps.append([function])
+    def call(self, function: Callable[[], Any], *, beside: bool = False) -> None:
+        """Add a device operation that is no kernel of ours: a memset or a scan.
+
+        Args:
+            function: Issues the operation.
+            beside: Run it side by side with the step before, be it the last of the pass before; its buffer must be
+                free by then (`Buffer.early`).
+        """
+        previous = next((s.steps for s in reversed(self.sections) if s.steps), None)
+        if beside and previous:
+            previous[-1].append(function)
+        else:
+            self.sections[-1].steps.append([function])
 
     def _command(
         self, kernel: Any, dims: list[int], inputs: list[Any], outputs: list[Any], block_dim: int, tiled: bool

@@ -14,9 +14,9 @@ __all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "Raster
 class RasterSettings(Record):
     """Visibility."""
 
-    bin_capacity: int = Field(1 << 20, ge=0, le=1 << 28)
+    bin_capacity: int = Field(1 << 22, ge=0, le=1 << 28)
     """Entries in the per-tile lists of large triangles; what does not fit is drawn by the atomic path."""
-    large_capacity: int = Field(1 << 17, ge=0, le=1 << 26)
+    large_capacity: int = Field(1 << 18, ge=0, le=1 << 26)
     """Large triangles kept for binning; what does not fit is drawn by the atomic path."""
     bins: Literal["auto", "on", "off"] = "auto"
     """Whether large triangles are binned to screen tiles; auto: on CUDA, where lanes wait for one another."""

@@ -59,6 +59,8 @@ class Buffer:
     dtype: Any
     count: int
     lasting: bool = False
+    #: Its memory must be free one pass earlier already: its pass clears it beside the pass before.
+    early: bool = False
     #: Element type users see, where kernels see another one of the same size.
     public: Any = None
 

@@ -17,8 +17,8 @@ __all__ = ["RasterPass"]
 #: Blocks of the fixed grid; measured best on an H200 (design, section 5).
 GRID_BLOCKS = 8192
 CAREFUL_BLOCKS = 1024
-BIN_LANES = 16
-BIN_GROUPS = 8448
+BIN_LANES = 32
+BIN_GROUPS = 4224
 
 
 class RasterPass(Pass):
@@ -54,20 +54,20 @@ class RasterPass(Pass):
     def writes(self) -> dict[str, Buffer]:
         """Keys, and the store of large triangles."""
         layout, raster = self.layout, self.request.settings.raster
-        result = {"keys": Buffer(wp.uint64, max(layout.pixels, 1))}
+        result = {"keys": Buffer(wp.uint64, max(layout.pixels, 1), early=True)}
         if layout.has_depth_views:
-            result["depth_keys"] = Buffer(wp.uint32, layout.depth_pixels)
+            result["depth_keys"] = Buffer(wp.uint32, layout.depth_pixels, early=True)
         if self.slices > 1:
-            result["slice_keys"] = Buffer(wp.uint64, layout.pixels * (self.slices - 1))
+            result["slice_keys"] = Buffer(wp.uint64, layout.pixels * (self.slices - 1), early=True)
             if layout.has_depth_views:
-                result["slice_depth_keys"] = Buffer(wp.uint32, layout.depth_pixels * (self.slices - 1))
+                result["slice_depth_keys"] = Buffer(wp.uint32, layout.depth_pixels * (self.slices - 1), early=True)
         if self.binned:
             tiles = len(layout.bin_tiles)
             result["large_triangles"] = Buffer(structs.LargeTriangle, raster.large_capacity)
             result["bin_entries"] = Buffer(wp.vec4i, max(raster.bin_capacity, 1))
             result["bin_offsets"] = Buffer(wp.int32, tiles, lasting=True)
             # Counts, cursors and the number of large triangles: one memset clears them all.
-            result["bin_state"] = Buffer(wp.int32, 2 * tiles + 1, lasting=True)
+            result["bin_state"] = Buffer(wp.int32, 2 * tiles + 1, lasting=True, early=True)
         return result
 
     def prepare(self, resources: Resources) -> None:
@@ -112,7 +112,7 @@ class RasterPass(Pass):
         program = resources.program
         for name in ("keys", "depth_keys", "slice_keys", "slice_depth_keys", "bin_state"):
             if name in resources.channels:
-                program.call(resources.channels[name].zero_)
+                program.call(resources.channels[name].zero_, beside=True)
         if not self.request.candidates:
             return
         self._draw(resources)
