@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 
+import warp_deferred as wd
 from warp_deferred import cli
 from warp_deferred.channels import OUTPUTS
 
@@ -41,6 +42,18 @@ def test_the_example_runs_as_printed(tmp_path, monkeypatch):
     assert namespace["radiance"].shape == (1, 36, 64)
     assert namespace["depth"].shape == (1, 36, 64) and (namespace["depth"] > 0).all()
     assert (tmp_path / "hall.png").stat().st_size > 1000 and (tmp_path / "hall.exr").stat().st_size > 1000
+
+
+def test_the_scene_file_example_loads_as_printed(tmp_path):
+    (example,) = blocks((ROOT / "docs/scene-files.md").read_text("utf-8"), "toml")
+    assert 'file = "truck.glb"' in example
+    triangle = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    triangle += "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    (tmp_path / "truck.ply").write_text(triangle)
+    (tmp_path / "stage.toml").write_text(example.replace("truck.glb", "truck.ply"))
+    scene = wd.load(tmp_path / "stage.toml")
+    assert scene.triangle_count == 1 and len(scene.lights) == 1 and len(scene.cameras) == 1 and not scene.notes
+    assert scene.instances[0].label == 3 and scene.settings.display.tone_mapping == "aces"
 
 
 def test_the_example_is_short():
