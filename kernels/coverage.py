@@ -26,8 +26,8 @@ from .structs import (
     View,
 )
 
-#: Boxes of more pixels than this look at their middle before they are drawn.
-PROBE_AREA_PX = 24
+#: Boxes of more pixels than the first number and at most the second look at their middle before they are drawn.
+PROBE_AREA_PX = (12, 32)
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -135,8 +135,9 @@ def make_draw(depth_views: bool, behind: bool):
         row2 = a2 * (x - t.p0[0]) + b2 * (y - t.p0[1])
         t0, t1, t2 = edge_threshold(a0, b0), edge_threshold(a1, b1), edge_threshold(a2, b2)
         crowded = wp.bool(False)
-        # Not worth a wait for a handful of pixels.
-        if (high[0] - low[0] + 1) * (high[1] - low[1] + 1) > wp.static(PROBE_AREA_PX):
+        # Fewer pixels are not worth the wait; more would wait at every pixel where a hill hides a lone triangle.
+        box = (high[0] - low[0] + 1) * (high[1] - low[1] + 1)
+        if box > wp.static(PROBE_AREA_PX[0]) and box <= wp.static(PROBE_AREA_PX[1]):
             crowded = hidden_middle(view, target, t, low, high)
         area = wp.float32(b2 * (t.p2[1] - t.p0[1]) + a2 * (t.p2[0] - t.p0[0]))
         a0, a1, a2 = a0 * 256, a1 * 256, a2 * 256
@@ -172,7 +173,7 @@ def make_draw(depth_views: bool, behind: bool):
         t0, t1, t2 = edge_threshold(a0, b0), edge_threshold(a1, b1), edge_threshold(a2, b2)
         l0, l1, l2 = wp.int64(t0), wp.int64(t1), wp.int64(t2)
         crowded = hidden_middle(view, target, t, low, high)
-        crowded = hidden_middle(view, target, t, low, high)
+        crowded = wp.bool(False)
         area = wp.float32(wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0]))
         s0, s1, s2 = wp.int64(a0) * wp.int64(256), wp.int64(a1) * wp.int64(256), wp.int64(a2) * wp.int64(256)
         r0, r1, r2 = wp.int64(b0) * wp.int64(256), wp.int64(b1) * wp.int64(256), wp.int64(b2) * wp.int64(256)

@@ -49,8 +49,9 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 128
 #: Bounding boxes of up to this many pixels are drawn by their lane.
-SMALL_AREA_PX = 96
-LAUNCH_BOUNDS = None
+SMALL_AREA_PX = 128
+#: The plain kernel is worth eight blocks a multiprocessor; the careful one needs its registers.
+PLAIN_BOUNDS = (128, 8)
 #: (careful, masked, depth_views, behind): what CI compiles.
 VARIANTS = [
     (careful, masked, depth_views, behind)
@@ -220,7 +221,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
             t = orient(pair, view, (flags & FLAG_TWO_SIDED) != 0, t)
         return t
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=LAUNCH_BOUNDS)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, launch_bounds=None if careful else PLAIN_BOUNDS)
     def raster_kernel(
         # Frame
         views: wp.array[View],

@@ -17,8 +17,8 @@ __all__ = ["RasterPass"]
 #: Blocks of the fixed grid; measured best on an H200 (design, section 5).
 GRID_BLOCKS = 8192
 CAREFUL_BLOCKS = 1024
-BIN_LANES = 32
-BIN_GROUPS = 4224
+BIN_LANES = 8
+BIN_GROUPS = 16896
 
 
 class RasterPass(Pass):
