@@ -30,7 +30,7 @@ def check_choice(name: str, value: Any, choices: Iterable[Any]) -> Any:
     options = list(choices)
     if value in options:
         return value
-    near = difflib.get_close_matches(str(value), [str(o) for o in options], 1)
+    near = difflib.get_close_matches(str(value), [str(o) for o in options], 1, 0.4)
     listed = ", ".join(repr(o) for o in options)
     raise input_error(name, f"one of {listed}", value, f"did you mean {near[0]!r}?" if near else "choose one of these")
 

@@ -22,7 +22,7 @@ class DisplayPass(Pass):
 
     def called_for(self) -> str | None:
         """Only for its own output."""
-        return "'display' was asked for" if "display" in self.request.outputs else None
+        return "display asked for" if "display" in self.request.outputs else None
 
     def rung(self) -> str:
         """Tone curve."""
