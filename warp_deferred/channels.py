@@ -67,7 +67,7 @@ _TABLE = (
     Channel("semantic_id", "int32", "label", "1", -1.0, ("semantic_id",), "Label of the instance; -1: background."),
     Channel("material_id", "int32", "index", "1", -1.0, ("material_id",), "Index of the material; -1: background."),
     Channel("triangle_id", "int32", "index", "1", -1.0, ("triangle_id",), "Mesh-local triangle; -1: background."),
-    Channel("light_count", "int32", "count", "1", 0.0, ("light_count",), "Lights considered at the pixel."),
+    Channel("light_count", "int32", "count", "1", 0.0, ("light_count",), "Lights that reach the pixel."),
 )
 
 OUTPUTS: dict[str, Channel] = {channel.name: channel for channel in _TABLE}
