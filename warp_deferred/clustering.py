@@ -109,28 +109,3 @@ def cut_clusters(positions: np.ndarray, triangles: np.ndarray) -> Clusters:
         axis.astype(np.float32),
         cutoff.astype(np.float32),
     )
-
-
-def smooth_normals(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Vertex normals averaged over the faces at a position, weighted by their angle there (Thürmer and Wüthrich 1998).
-
-    Vertices at the same position share their normal, so that a seam in the file does not show.
-    """
-    corners = positions[triangles].astype(np.float64)
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
-    _, place = np.unique(positions, axis=0, return_inverse=True)
-    place = place.reshape(-1)
-    total = np.zeros((int(place.max(initial=-1)) + 1, 3))
-    for k in range(3):
-        a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
-        scale = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
-        cosine = np.divide((a * b).sum(axis=1), scale, out=np.ones(len(a)), where=scale > 0.0)
-        weight = np.arccos(np.clip(cosine, -1.0, 1.0))[:, None] * normal
-        vertex = place[triangles[:, k]]
-        for axis in range(3):
-            total[:, axis] += np.bincount(vertex, weight[:, axis], len(total))
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    unit = np.divide(total, length, out=np.zeros_like(total), where=length > 0.0)
-    return unit[place].astype(np.float32)

@@ -13,12 +13,13 @@ import numpy as np
 import warp as wp
 
 from .checks import input_error
-from .clustering import CLUSTER_SIZE, Clusters, cut_clusters, smooth_normals
+from .clustering import CLUSTER_SIZE, Clusters, cut_clusters
 from .errors import CapacityError
 from .features import MODELS
 from .kernels import clusters as cluster_kernels
 from .kernels import structs
 from .materials import Material
+from .normals import smooth_normals
 from .scene import Mesh, Scene
 from .textures import WRAP_CODES, TextureStore
 

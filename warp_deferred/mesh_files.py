@@ -21,7 +21,8 @@ import numpy as np
 
 from .load_report import LoadReport
 from .materials import Material
-from .mesh_repair import linear_from_srgb, repaired_mesh, smooth_normals
+from .mesh_repair import linear_from_srgb, repaired_mesh
+from .normals import smooth_normals
 from .obj_materials import file_texture, read_mtl
 from .obj_text import MATERIAL_FILE, MATERIAL_NAME, ObjText
 from .polygons import triangulate_polygon

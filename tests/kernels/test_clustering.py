@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import reference
 
-from warp_deferred.clustering import CLUSTER_SIZE, Clusters, cut_clusters, smooth_normals
+from warp_deferred.clustering import CLUSTER_SIZE, Clusters, cut_clusters
+from warp_deferred.normals import smooth_normals
 
 
 def face_normals(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
