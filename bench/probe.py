@@ -26,7 +26,7 @@ def plan_of(renderer: Renderer, settings: Settings) -> Plan:
     renderer.scene.settings = settings
     renderer.render()
     wp.synchronize_device(renderer.device)
-    return renderer._plan
+    return renderer.plan
 
 
 def bytes_by_pass(plan: Plan) -> dict[str, int]:

@@ -131,7 +131,7 @@ def test_t6_depth_is_clipped_or_clamped(device):
     assert np.isposinf(depth[:, ~inside]).all()
     assert np.abs(z[:, inside] - np.array(DEPTHS)[inside]).max() <= 1e-5
     # Clamping is what depth-only views ask for; the same plan with the flag set shows it with ids.
-    plan = renderer._plan
+    plan = renderer.plan
     frame = plan.resources.frame
     plan.packer.write(frame.begin(), [camera], renderer._ranges([camera]), depth_clamp=True)
     frame.upload()

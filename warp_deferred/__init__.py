@@ -21,6 +21,7 @@ __all__ = [
     "InputError",
     "Instance",
     "LoadError",
+    "LoadWarning",
     "Material",
     "Mesh",
     "PointLight",
@@ -39,8 +40,8 @@ def __getattr__(name: str) -> object:
         from . import frame, renderer
 
         return {"Renderer": renderer.Renderer, "Frame": frame.Frame}[name]
-    if name == "load":
-        from .loading import load
+    if name in ("load", "LoadWarning"):
+        from . import loading
 
-        return load
+        return getattr(loading, name)
     raise AttributeError(f"module 'warp_deferred' has no attribute {name!r}")

@@ -105,6 +105,11 @@ class Renderer:
         """The settings in force."""
         return self._settings or self.scene.settings
 
+    @property
+    def plan(self) -> Plan | None:
+        """The plan of the last frame: its passes, buffers and program, to look at and to time; None before the first."""
+        return self._plan
+
     def prepare(self, progress: Callable[[str, int, int], None] | None = None, *, views: int = 1) -> None:
         """Build the plan and compile all it needs, so that the first `render` is as quick as the next.
 

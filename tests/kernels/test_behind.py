@@ -66,5 +66,5 @@ def test_layers_come_off_in_order(bins, device, rng, monkeypatch):
         ids, found = frame.numpy("triangle_id")[0], frame.numpy("depth")[0]
         assert np.array_equal(ids, layer)
         assert np.abs(found[ids >= 0] - depth[ids[ids >= 0]]).max(initial=0.0) <= 1e-5
-        wp.copy(limit, renderer._plan.resources.channels["keys"])
+        wp.copy(limit, renderer.plan.resources.channels["keys"])
     assert (expected[-1] == -1).all()
