@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 import struct
 from collections.abc import Callable, Iterable, Sequence
@@ -99,6 +100,7 @@ class Renderer:
         self._generation = 0
         self._plan: Plan | None = None
         self._fast: tuple[Any, ...] | None = None
+        self._packed: tuple[Any, list[Camera], bytes] | None = None
 
     @property
     def settings(self) -> Settings:
@@ -107,7 +109,7 @@ class Renderer:
 
     @property
     def plan(self) -> Plan | None:
-        """The plan of the last frame: its passes, buffers and program, to look at and to time; None before the first."""
+        """The plan of the last frame: passes, buffers and program, to look at and to time; None before the first."""
         return self._plan
 
     def prepare(self, progress: Callable[[str, int, int], None] | None = None, *, views: int = 1) -> None:
@@ -139,7 +141,7 @@ class Renderer:
         resources = plan.resources
         self._update()
         block = resources.frame.begin()
-        plan.packer.write(block, cameras, self._fast[4])
+        self._write_views(plan, block, cameras)
         environment = self.scene.environment
         VALUES.pack_into(
             block,
@@ -156,6 +158,15 @@ class Renderer:
         self._generation += 1
         generation = self._generation
         return Frame(plan.outputs, cameras, lambda: self._generation == generation)
+
+    def _write_views(self, plan: Plan, block: memoryview, cameras: list[Camera]) -> None:
+        """Pack the cameras, or copy the last bytes where they are the same objects: fixed views cost a copy."""
+        known = self._packed
+        if known is not None and known[0] is self._fast and all(map(operator.is_, cameras, known[1])):
+            block[: len(known[2])] = known[2]
+            return
+        plan.packer.write(block, cameras, self._fast[4])
+        self._packed = (self._fast, cameras, bytes(block[: plan.packer.size * len(cameras)]))
 
     def _stage_poses(self, poses: Any, count: int, resources: Any) -> None:
         array = as_float_array("render.poses", poses, self.device, (count, 4, 4))
