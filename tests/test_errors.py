@@ -247,3 +247,16 @@ def test_t2_vertices_on_the_near_plane_and_in_the_eye_stay_finite(device):
         assert (
             seen.any() and np.isfinite(image["depth"][seen]).all() and image["depth"][seen].min() >= 0.05 * (1 - 1e-6)
         )
+
+
+def test_e7_a_buffer_past_what_an_array_holds_is_refused_before_memory_is_spent(monkeypatch):
+    scene = simple()
+    renderer = wd.Renderer(scene, width=8, height=8, device="cpu", outputs=("depth",))
+    renderer.prepare()
+    monkeypatch.setattr(plan_module, "MAX_ELEMENTS", 127)
+    with (
+        Spy() as spy,
+        pytest.raises(wd.CapacityError, match=r"expected at most 127 elements of 'keys', got 128; render"),
+    ):
+        renderer.render([scene.camera, scene.camera])
+    assert not spy.allocated

@@ -29,7 +29,7 @@ def run_views(scene, cameras, sizes, device, *, names=NAMES, settings=FULL, dept
     outputs |= {"depth_keys"} if depth_only else set()
     request = dataclasses.replace(renderer._request(cameras), sizes=tuple(sizes), outputs=outputs)
     lights = LightStore(request.features.light_capacity, len(sizes), renderer.device)
-    plan = renderer._plan = Plan(request, renderer._device_scene, lights)
+    plan = renderer._plan = Plan(request, renderer._device_scene, lambda: lights)
     if fill is not None:
         for name in names:
             plan.outputs[name].fill_(fill)

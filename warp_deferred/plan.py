@@ -14,7 +14,7 @@ from collections.abc import Callable
 import warp as wp
 
 from .device_scene import DeviceScene
-from .errors import Error
+from .errors import CapacityError, Error
 from .light_store import LightStore
 from .passes.base import Buffer, Pass, Request
 from .passes.clusters import ClustersPass
@@ -35,6 +35,8 @@ PASSES: tuple[type[Pass], ...] = (
     ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
 )  # fmt: skip
 ALIGNMENT = 256
+#: Elements of one device array.
+MAX_ELEMENTS = 2**31 - 1
 #: One alignment unit as an array element.
 UNIT = wp.types.vector(length=32, dtype=wp.float64)
 
@@ -60,13 +62,16 @@ class Plan:
         passes: The passes that run, in order.
         packer: Writes cameras into the frame block.
         resources: Buffers and tables.
+
+    Raises:
+        CapacityError: If a buffer would not fit its ids; before anything is allocated.
     """
 
     def __init__(
         self,
         request: Request,
         scene: DeviceScene,
-        lights: LightStore,
+        lights: Callable[[], LightStore],
         progress: Callable[[str, int, int], None] | None = None,
     ) -> None:
         self.request = request
@@ -75,8 +80,10 @@ class Plan:
         self._reports: list[PassReport] = []
         self.passes = self._select()
         self._verify()
+        self._check_counts()
+        # Nothing is allocated before this line: what cannot be held has been refused.
         program = Program(scene.device, request.threads)
-        self.resources = Resources.make(scene, lights, self.layout, program)
+        self.resources = Resources.make(scene, lights(), self.layout, program)
         self._allocate()
         for stage in self.passes:
             stage.prepare(self.resources)
@@ -124,6 +131,15 @@ class Plan:
         missing = self.request.outputs - written
         if missing:
             raise Error(f"outputs: expected names some pass writes, got {sorted(missing)}; leave them out")
+
+    def _check_counts(self) -> None:
+        for stage in self.passes:
+            for name, buffer in stage.writes().items():
+                if buffer.count > MAX_ELEMENTS:
+                    raise CapacityError(
+                        f"{stage.name}: expected at most {MAX_ELEMENTS} elements of {name!r}, got {buffer.count}; "
+                        "render fewer views at a time"
+                    )
 
     def _allocate(self) -> None:
         buffers: dict[str, Buffer] = {}

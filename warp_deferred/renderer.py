@@ -251,11 +251,15 @@ class Renderer:
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
         key = (request.features.light_capacity, len(request.sizes))
-        if key not in self._lights:
-            self._lights[key] = LightStore(*key, self.device)
+
+        def lights() -> LightStore:
+            if key not in self._lights:
+                self._lights[key] = LightStore(*key, self.device)
+            return self._lights[key]
+
         while len(self._plans) >= MAX_PLANS:
             self._plans.pop(next(iter(self._plans)))
-        self._plans[request] = Plan(request, self._device_scene, self._lights[key], progress)
+        self._plans[request] = Plan(request, self._device_scene, lights, progress)
         return self._plans[request]
 
     def _update(self) -> None:
