@@ -112,10 +112,7 @@ def render(
     rate = check_range("--fps", fps, 1e-6, unit="frames per second")
     files = arguments.check_outs(out, moving=wanted_frames is not None)
     outputs = arguments.wanted_outputs(files, arguments.parse_layers(layers))
-    points = [
-        None if text is None else arguments.parse_vector(label, text)
-        for label, text in (("--eye", eye), ("--target", target))
-    ]
+    points = arguments.parse_points(eye, target)
     scene, settings, chosen = _open(source, set_, device, quiet)
     if wanted_frames is not None:
         arguments.check_moves(scene, source)

@@ -158,6 +158,18 @@ def _silent_stderr() -> Iterator[None]:
         os.close(kept)
 
 
+def parse_points(
+    eye: str | None, target: str | None
+) -> tuple[tuple[float, float, float] | None, tuple[float, float, float] | None]:
+    """Return the points of --eye and --target, both or neither, before anything is loaded."""
+    if (eye is None) != (target is None):
+        missing = "--target" if target is None else "--eye"
+        raise input_error(missing, "a point x,y,z beside the other one", "<nothing>", f"add {missing} x,y,z")
+    if eye is None:
+        return None, None
+    return parse_vector("--eye", eye), parse_vector("--target", target)
+
+
 def choose_camera(
     scene: Scene,
     name: str | None,
@@ -170,9 +182,6 @@ def choose_camera(
     from .camera import Camera
 
     camera = _named(scene, name) if name is not None else scene.camera or Camera()
-    if (eye is None) != (target is None):
-        missing = "--target" if target is None else "--eye"
-        raise input_error(missing, "a point x,y,z beside the other one", "<nothing>", f"add {missing} x,y,z")
     if vertical_fov_deg is not None:
         fov = math.radians(
             check_range("--vertical-fov-deg", vertical_fov_deg, 1e-3, 179.0, unit="degrees", mend="50 is usual")
