@@ -260,3 +260,18 @@ def test_e7_a_buffer_past_what_an_array_holds_is_refused_before_memory_is_spent(
     ):
         renderer.render([scene.camera, scene.camera])
     assert not spy.allocated
+
+
+def test_memory_that_runs_out_is_told_with_what_was_wanted(monkeypatch):
+    scene = simple()
+    renderer = wd.Renderer(scene, width=8, height=8, device="cpu", outputs=("depth",))
+    before = renderer.render().numpy("depth")
+
+    def refuse(*arguments, **fields):
+        raise RuntimeError("Failed to allocate 1 bytes on device 'cpu'")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(plan_module.wp, "zeros", refuse)
+        with pytest.raises(wd.CapacityError, match=r"frame: expected 0\.\d\d GB of memory on cpu, got less; render"):
+            renderer.render([scene.camera, scene.camera])
+    assert np.array_equal(renderer.render().numpy("depth"), before), "the renderer stays usable"

@@ -16,6 +16,7 @@ import warp as wp
 from .device_scene import DeviceScene
 from .errors import CapacityError, Error
 from .light_store import LightStore
+from .memory import enough_memory
 from .passes.base import Buffer, Pass, Request
 from .passes.clusters import ClustersPass
 from .passes.display import DisplayPass
@@ -81,14 +82,16 @@ class Plan:
         self.passes = self._select()
         self._verify()
         self._check_counts()
+        buffers, places, total = self._lay_out()
         # Nothing is allocated before this line: what cannot be held has been refused.
-        program = Program(scene.device, request.threads)
-        self.resources = Resources.make(scene, lights(), self.layout, program)
-        self._allocate()
-        for stage in self.passes:
-            stage.prepare(self.resources)
-            program.begin(stage.name)
-            stage.run(self.resources)
+        with enough_memory("frame", self.bytes, scene.device, "render smaller or fewer views, or fewer outputs"):
+            program = Program(scene.device, request.threads)
+            self.resources = Resources.make(scene, lights(), self.layout, program)
+            self._allocate(buffers, places, total)
+            for stage in self.passes:
+                stage.prepare(self.resources)
+                program.begin(stage.name)
+                stage.run(self.resources)
         program.load(progress)
         self._captured = False
 
@@ -141,7 +144,8 @@ class Plan:
                         "render fewer views at a time"
                     )
 
-    def _allocate(self) -> None:
+    def _lay_out(self) -> tuple[dict[str, Buffer], dict[str, int], int]:
+        """Buffers by name, offsets of the transient ones in the shared arena, and the arena's bytes."""
         buffers: dict[str, Buffer] = {}
         born: dict[str, int] = {}
         dies: dict[str, int] = {}
@@ -152,25 +156,26 @@ class Plan:
                     dies[name] = len(self.passes) if buffer.lasting or not self.request.share_memory else k
             for name in stage.reads():
                 dies[name] = max(dies.get(name, k), k)
+        self.memory = {n: _padded(b.count * wp.types.type_size_in_bytes(b.dtype)) for n, b in buffers.items()}
         transient = [n for n in buffers if n not in self.request.outputs]
-        sizes = {n: _padded(b.count * wp.types.type_size_in_bytes(b.dtype)) for n, b in buffers.items()}
-        places, total = _place(transient, sizes, born, dies)
-        device = self.resources.device
+        places, total = _place(transient, self.memory, born, dies)
+        self.bytes = total + sum(self.memory[n] for n in self.request.outputs)
+        return buffers, places, total
+
+    def _allocate(self, buffers: dict[str, Buffer], places: dict[str, int], total: int) -> None:
+        device, channels = self.resources.device, self.resources.channels
         # Whole alignment units as elements: an arena of bytes would end at 2 GiB.
         self.arena = wp.zeros(max(total, ALIGNMENT) // ALIGNMENT, dtype=UNIT, device=device)
-        channels = self.resources.channels
-        for name in transient:
+        for name, offset in places.items():
             buffer = buffers[name]
             channels[name] = wp.array(
-                ptr=self.arena.ptr + places[name], dtype=buffer.dtype, shape=(buffer.count,), device=device, copy=False
+                ptr=self.arena.ptr + offset, dtype=buffer.dtype, shape=(buffer.count,), device=device, copy=False
             )
         self.outputs: dict[str, wp.array] = {}
         for name in self.request.outputs:
             buffer = buffers[name]
             channels[name] = wp.zeros(max(buffer.count, 1), dtype=buffer.dtype, device=device)
             self.outputs[name] = self._as_image(channels[name], buffer.public or buffer.dtype)
-        self.memory = {n: sizes[n] for n in buffers}
-        self.bytes = total + sum(sizes[n] for n in self.outputs)
 
     def _as_image(self, array: wp.array, dtype: type) -> wp.array:
         sizes = [s for s in self.layout.sizes if not s.depth_only]

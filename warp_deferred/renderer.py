@@ -20,6 +20,7 @@ from .features import Features
 from .frame import Frame
 from .kernels import clusters as cluster_kernels
 from .light_store import LightStore
+from .memory import enough_memory
 from .passes.base import Request
 from .plan import Plan
 from .scene import Scene
@@ -226,7 +227,9 @@ class Renderer:
         self._plan = None
         self._fast = None
         self._lights.clear()
-        self._device_scene = DeviceScene(self.scene, self.device)
+        size = sum(m.nbytes for m in {id(i.mesh): i.mesh for i in self.scene.instances}.values())
+        with enough_memory("scene", size, self.device, "split the scene or use fewer or smaller textures"):
+            self._device_scene = DeviceScene(self.scene, self.device)
         self._revision = self.scene.revision
         self._scene_key += 1
 

@@ -98,6 +98,12 @@ class Mesh:
         length = np.linalg.norm(wide, axis=1, keepdims=True)
         return np.where(length > 0.0, wide / np.where(length > 0.0, length, 1.0), 0.0).astype(np.float32)
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+        arrays = (self.positions, self.triangles, self.normals, self.uvs, self.colors)
+        return sum(a.nbytes for a in arrays if a is not None)
+
     def __repr__(self) -> str:
         return f"Mesh({self.name!r}, {len(self.positions)} vertices, {len(self.triangles)} triangles)"
 
