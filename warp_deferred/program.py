@@ -162,6 +162,10 @@ class Program:
                 step[0]()
             elif self.device.is_cuda:
                 self._fork(step)
+            elif wp.config.mode == "debug":
+                # Warp's debug builds of CPU kernels crash on threads other than the main one (1.19).
+                for command in step:
+                    command()
             else:
                 others = [_pool(self.threads).submit(command) for command in step[1:]]
                 step[0]()
