@@ -163,7 +163,8 @@ class Program:
             elif self.device.is_cuda:
                 self._fork(step)
             elif wp.config.mode == "debug":
-                # Warp's debug builds of CPU kernels crash on threads other than the main one (1.19).
+                # Two launches at a time crash in Warp 1.19's debug builds, of a trivial kernel over disjoint halves
+                # too; one at a time runs on any thread, and release builds run both. Why was not established.
                 for command in step:
                     command()
             else:

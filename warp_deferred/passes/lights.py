@@ -32,9 +32,6 @@ class LightsPass(Pass):
         """The staged lights live in the light store."""
         return {"staged_lights": Buffer(None, 0)}
 
-    def prepare(self, resources: Resources) -> None:
-        """Nothing to build."""
-
     def run(self, resources: Resources) -> None:
         """One launch."""
         lights, frame = resources.lights, resources.frame
