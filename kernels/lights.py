@@ -33,10 +33,10 @@ BLOCK_DIM = 128
 
 @wp.struct
 class Arrival:
-    """Light arriving at a point: unit direction to the light and irradiance at normal incidence per colour."""
+    """Light arriving at a point."""
 
-    direction: wp.vec3
-    power: wp.float32  # 0 where nothing arrives
+    inverse: wp.float32  # turns the vector to the light into a unit vector
+    power: wp.float32  # irradiance at normal incidence per colour; 0 where nothing arrives
 
 
 @wp.func
@@ -79,8 +79,12 @@ def stage_lights_kernel(
     shape = kind & 3
     reach = source.range[i]
     relative = wp.vec3()
+    axis = wp.vec3()
+    if shape != LIGHT_POINT:
+        axis = wp.normalize(source.direction[i])
     if shape == LIGHT_DIRECTIONAL:
         reach = wp.inf
+        relative = -axis
     else:
         relative = to_single(source.position[i] - view.origin)
     world = source.world[i]
@@ -91,11 +95,8 @@ def stage_lights_kernel(
     # What follows is shared by all views, so it must not know the first one's world.
     if v > 0:
         return
-    axis = wp.vec3()
     outer_cosine = wp.float32(-1.0)
     scale, offset = wp.float32(0.0), wp.float32(1.0)
-    if shape != LIGHT_POINT:
-        axis = wp.normalize(source.direction[i])
     if shape == LIGHT_SPOT:
         angles = source.angles[i]
         outer_cosine = wp.cos(angles[1])
@@ -109,7 +110,7 @@ def stage_lights_kernel(
     c = source.coefficients[i]
     out_lights.color[i] = wp.vec4(tint[0], tint[1], tint[2], outer_cosine)
     out_lights.axis[i] = wp.vec4(axis[0], axis[1], axis[2], scale)
-    out_lights.shape[i] = wp.vec4(offset, radius * radius, inverse, wp.float32(kind))
+    out_lights.shape[i] = wp.vec4(offset, 1.0 / wp.max(radius * radius, 1.0e-30), inverse, wp.float32(kind))
     out_lights.polynomial[i] = wp.vec4(c[0], c[1], c[2], 0.0)
 
 
@@ -157,44 +158,53 @@ def stage_scalar_kernel(
 
 @functools.cache
 def make_arrive(kinds: int, polynomial: bool):
-    """Function that tells what arrives from a light; bit k of `kinds` says that kind k occurs."""
+    """(towards, arrive): vector to a light, and what arrives; bit k of `kinds` says that kind k occurs.
+
+    They are two, so that a surface that faces away costs neither a root nor a division.
+    """
 
     @wp.func
-    def arrive(lights: Lights, i: wp.int32, place: wp.vec4, point: wp.vec3):
-        result = Arrival()
+    def towards(lights: Lights, i: wp.int32, place: wp.vec4, point: wp.vec3):
+        if wp.static(kinds == 4):
+            return wp.vec3(place[0], place[1], place[2])
         to_light = wp.vec3(place[0], place[1], place[2]) - point
-        shape = load_vec4(lights.shape, i)
-        kind = wp.int32(shape[3])
         if wp.static((kinds & 4) != 0):
-            if (kind & 3) == LIGHT_DIRECTIONAL:
-                axis = load_vec4(lights.axis, i)
-                result.direction = wp.vec3(-axis[0], -axis[1], -axis[2])
-                if place[3] > 0.0:
-                    result.power = 1.0
+            if (wp.int32(lights.shape[i][3]) & 3) == LIGHT_DIRECTIONAL:
+                to_light = wp.vec3(place[0], place[1], place[2])
+        return to_light
+
+    @wp.func
+    def arrive(lights: Lights, i: wp.int32, reach: wp.float32, to_light: wp.vec3):
+        result = Arrival()
+        # A range below 0 marks a light that contributes nothing.
+        if not (reach > 0.0):
+            return result
+        if wp.static((kinds & 4) != 0):
+            if (wp.int32(lights.shape[i][3]) & 3) == LIGHT_DIRECTIONAL:
+                result.inverse = 1.0
+                result.power = 1.0
                 return result
         if wp.static((kinds & 3) != 0):
             d2 = wp.dot(to_light, to_light)
-            reach = place[3]
-            # A range below 0 marks a light that contributes nothing; at the range itself it is exactly 0.
-            if not (reach > 0.0) or d2 >= reach * reach:
+            # At the range itself it is exactly 0; the second test is for points where the light is.
+            if d2 >= reach * reach or d2 == 0.0:
                 return result
+            shape = load_vec4(lights.shape, i)
             distance = wp.sqrt(d2)
-            if distance == 0.0:
-                return result
-            result.direction = to_light * (1.0 / distance)
+            result.inverse = 1.0 / distance
             ratio = d2 * shape[2]
-            power = wp.max(1.0 - ratio * ratio, 0.0) / wp.max(d2, shape[1])
+            power = wp.max(1.0 - ratio * ratio, 0.0) * wp.min(result.inverse * result.inverse, shape[1])
             if wp.static(polynomial):
-                if (kind & LIGHT_POLYNOMIAL) != 0:
+                if (wp.int32(shape[3]) & LIGHT_POLYNOMIAL) != 0:
                     c = lights.polynomial[i]
                     power = 1.0 / wp.max(c[0] + c[1] * distance + c[2] * d2, 1.0e-8)
             if wp.static((kinds & 2) != 0):
-                if (kind & 3) == LIGHT_SPOT:
+                if (wp.int32(shape[3]) & 3) == LIGHT_SPOT:
                     axis = load_vec4(lights.axis, i)
-                    cosine = -wp.dot(wp.vec3(axis[0], axis[1], axis[2]), result.direction)
+                    cosine = -wp.dot(wp.vec3(axis[0], axis[1], axis[2]), to_light) * result.inverse
                     angle = wp.clamp(cosine * axis[3] + shape[0], 0.0, 1.0)
                     power *= angle * angle
             result.power = power
         return result
 
-    return arrive
+    return towards, arrive

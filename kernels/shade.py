@@ -10,7 +10,7 @@ import functools
 
 import warp as wp
 
-from .brdf import MIN_N_DOT_V, diffuse_albedo, make_reflect
+from .brdf import INVERSE_PI, MIN_N_DOT_V, diffuse_albedo, make_reflectance
 from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
 from .intrinsics import load_vec4, load_vec4i, lowest_bit, pack_half4
 from .lights import make_arrive
@@ -79,8 +79,8 @@ def make_shade_kernel(
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
     """
     decode = make_gbuffer_codec(*codec)[1]
-    reflect = make_reflect(models)
-    arrive = make_arrive(kinds, polynomial)
+    view_lobe, reflect = make_reflectance(models)
+    towards, arrive = make_arrive(kinds, polynomial)
 
     @wp.func
     def write(i: wp.int32, out: ShadeTarget, total: wp.vec3, diffuse: wp.vec3, specular: wp.vec3, count: wp.int32):
@@ -113,9 +113,9 @@ def make_shade_kernel(
     ):
         thread = wp.tid() + first
         block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
+        corner = pixel_in_block(thread)
         view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        x, y = block[1] + corner[0], block[2] + corner[1]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)
@@ -130,7 +130,7 @@ def make_shade_kernel(
         if wp.static(kinds != 0):
             point = relative_position(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
             v = view_direction(view, point)
-            n_dot_v = wp.max(wp.dot(s.normal, v), MIN_N_DOT_V)
+            lobe = view_lobe(s, wp.max(wp.dot(s.normal, v), MIN_N_DOT_V))
             tile = view.tile_offset + (y >> masks.tile_shift) * view.tiles_x + (x >> masks.tile_shift)
             base = block[0] * lights.capacity
             for group in range(masks.summary_per_tile):
@@ -142,16 +142,22 @@ def make_shade_kernel(
                     while bits != wp.uint32(0):
                         light = word * 32 + lowest_bit(bits)
                         bits = bits & (bits - wp.uint32(1))
-                        a = arrive(lights, light, load_vec4(lights.position, base + light), point)
-                        n_dot_l = wp.dot(s.normal, a.direction)
-                        if a.power > 0.0 and n_dot_l > 0.0:
-                            c = load_vec4(lights.color, light)
-                            irradiance = wp.vec3(c[0], c[1], c[2]) * (a.power * n_dot_l)
-                            f = reflect(s, a.direction, v, n_dot_l, n_dot_v)
-                            diffuse += wp.cw_mul(f.diffuse, irradiance)
-                            specular += wp.cw_mul(f.specular, irradiance)
-                            count += 1
-        total = diffuse + specular + wp.cw_mul(diffuse_albedo(s), values[0].ambient) * s.occlusion
+                        place = load_vec4(lights.position, base + light)
+                        to_light = towards(lights, light, place, point)
+                        facing = wp.dot(s.normal, to_light)
+                        if facing > 0.0:
+                            a = arrive(lights, light, place[3], to_light)
+                            if a.power > 0.0:
+                                n_dot_l = facing * a.inverse
+                                c = load_vec4(lights.color, light)
+                                irradiance = wp.vec3(c[0], c[1], c[2]) * (a.power * n_dot_l)
+                                f = reflect(s, lobe, to_light * a.inverse, v, n_dot_l)
+                                diffuse += wp.cw_mul(f.diffuse, irradiance)
+                                specular += wp.cw_mul(f.specular, irradiance)
+                                count += 1
+        albedo = diffuse_albedo(s)
+        diffuse = wp.cw_mul(diffuse, albedo * INVERSE_PI)
+        total = diffuse + specular + wp.cw_mul(albedo, values[0].ambient) * s.occlusion
         if wp.static(emissive):
             if (s.flags & FLAG_EMISSIVE) != 0:
                 total += emission[i]

@@ -255,10 +255,12 @@ class Layers:
 class Lights:
     """All lights in global order, staged for a frame; positions per view, relative to its eye."""
 
-    position: wp.array[wp.vec4]  # [view * capacity + light]: xyz [m], range (-1: contributes nothing, inf: everywhere)
+    # [view * capacity + light]: xyz [m] (directional: unit vector to the light), range (-1: contributes nothing, inf:
+    # everywhere)
+    position: wp.array[wp.vec4]
     color: wp.array[wp.vec4]  # colour times intensity, cosine of the outer angle
     axis: wp.array[wp.vec4]  # unit direction the light shines in, angle scale
-    shape: wp.array[wp.vec4]  # angle offset, source radius squared, 1 / range squared, kind
+    shape: wp.array[wp.vec4]  # angle offset, 1 / source radius squared, 1 / range squared, kind
     polynomial: wp.array[wp.vec4]  # constant, linear, quadratic of the polynomial fall-off
     capacity: wp.int32
 

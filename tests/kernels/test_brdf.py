@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reference
 import warp as wp
-from warp_deferred.kernels.brdf import Reflection, diffuse_albedo, make_reflect
+from warp_deferred.kernels.brdf import INVERSE_PI, Reflection, diffuse_albedo, make_reflectance
 from warp_deferred.kernels.encoding import Surface
 from warp_deferred.kernels.lights import Arrival, make_arrive
 from warp_deferred.kernels.structs import LIGHT_POLYNOMIAL, Lights
@@ -17,8 +17,8 @@ LAMBERT, PHONG, BLINN_PHONG, GGX = range(4)
 MODELS = {"lambert": LAMBERT, "phong": PHONG, "blinn_phong": BLINN_PHONG, "ggx": GGX}
 UP = np.array([0.0, 1.0, 0.0])
 
-reflect_all = make_reflect(15)
-arrive_all = make_arrive(7, True)
+view_lobe_all, reflect_all = make_reflectance(15)
+towards_all, arrive_all = make_arrive(7, True)
 
 
 @wp.kernel
@@ -34,15 +34,23 @@ def reflect_kernel(
     n_dot_v = wp.max(wp.dot(s.normal, to_viewer[i]), 1.0e-4)
     n_dot_l = wp.dot(s.normal, to_light[i])
     if n_dot_l > 0.0:
-        out_reflection[i] = reflect_all(s, to_light[i], to_viewer[i], n_dot_l, n_dot_v)
+        f = reflect_all(s, view_lobe_all(s, n_dot_v), to_light[i], to_viewer[i], n_dot_l)
+        f.diffuse = wp.cw_mul(f.diffuse, diffuse_albedo(s)) * INVERSE_PI
+        out_reflection[i] = f
     out_albedo[i] = diffuse_albedo(s)
 
 
 @wp.kernel
-def arrive_kernel(lights: Lights, points: wp.array[wp.vec3], out_arrivals: wp.array[Arrival]):
+def arrive_kernel(
+    lights: Lights, points: wp.array[wp.vec3], out_arrivals: wp.array[Arrival], out_directions: wp.array[wp.vec3]
+):
     i = wp.tid()
     k = i % lights.capacity
-    out_arrivals[i] = arrive_all(lights, k, lights.position[k], points[i])
+    place = lights.position[k]
+    to_light = towards_all(lights, k, place, points[i])
+    a = arrive_all(lights, k, place[3], to_light)
+    out_arrivals[i] = a
+    out_directions[i] = to_light * a.inverse
 
 
 def make_surface(model: str, roughness: float = 0.5, metallic: float = 0.0, shininess: float = 32.0, **fields):
@@ -227,16 +235,17 @@ def make_lights(rows: list[dict], device: str) -> Lights:
     table = {name: np.zeros((len(rows), 4)) for name in ("position", "color", "axis", "shape", "polynomial")}
     for k, row in enumerate(rows):
         reach = row.get("range", np.inf)
-        table["position"][k] = [*row.get("position", (0, 0, 0)), reach]
+        axis = reference.unit(np.array(row.get("direction", (0.0, -1.0, 0.0))))
+        table["position"][k] = [*(-axis if row.get("kind") == 2 else row.get("position", (0, 0, 0))), reach]
         inner, outer = row.get("angles", (0.0, np.pi / 4))
         spot = row.get("kind", 0) == 1
         scale = 1.0 / max(0.001, np.cos(inner) - np.cos(outer)) if spot else 0.0
         offset = -np.cos(outer) * scale if spot else 1.0
         table["color"][k] = [1, 1, 1, np.cos(outer)]
-        table["axis"][k] = [*reference.unit(np.array(row.get("direction", (0.0, -1.0, 0.0)))), scale]
+        table["axis"][k] = [*axis, scale]
         inverse = 1.0 / reach**2 if reach > 0.0 else 0.0
         kind = row.get("kind", 0) + (int(LIGHT_POLYNOMIAL) if "coefficients" in row else 0)
-        table["shape"][k] = [offset, row.get("source_radius", 1e-4) ** 2, inverse, kind]
+        table["shape"][k] = [offset, 1.0 / row.get("source_radius", 1e-4) ** 2, inverse, kind]
         table["polynomial"][k, :3] = row.get("coefficients", (1, 0, 0))
     lights = Lights()
     for name, values in table.items():
@@ -248,9 +257,9 @@ def make_lights(rows: list[dict], device: str) -> Lights:
 def arrivals(row: dict, points: np.ndarray, device: str) -> tuple[np.ndarray, np.ndarray]:
     out = wp.zeros(len(points), dtype=Arrival, device=device)
     source = wp.array(np.asarray(points, np.float32), dtype=wp.vec3, device=device)
-    wp.launch(arrive_kernel, len(points), [make_lights([row], device), source], [out], device=device)
-    result = out.numpy()
-    return result["power"].astype(float), result["direction"]
+    directions = wp.zeros(len(points), dtype=wp.vec3, device=device)
+    wp.launch(arrive_kernel, len(points), [make_lights([row], device), source], [out, directions], device=device)
+    return out.numpy()["power"].astype(float), directions.numpy()
 
 
 @pytest.mark.parametrize("reach", [1e-3, 1.0, 7.0, 1e6])
