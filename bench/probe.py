@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from warp_deferred import Renderer, Scene, Settings
+from warp_deferred.passes.raster import large_stored
 from warp_deferred.plan import Plan
 
 from .timing import run_until
@@ -69,7 +70,7 @@ def raster_counts(plan: Plan) -> dict[str, Any]:
         return {}
     entries = int(channels["bin_offsets"].numpy()[-1]) + int(channels["bin_counts"].numpy()[-1])
     return {
-        "raster.large_triangles": int(channels["large_count"].numpy()[0]),
+        "raster.large_triangles": sum(large_stored(channels["large_count"].numpy(), raster.large_capacity)),
         "raster.large_capacity": raster.large_capacity,
         "raster.bin_entries": entries,
         "raster.bin_capacity": raster.bin_capacity,

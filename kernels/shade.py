@@ -20,6 +20,8 @@ from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, FrameValues, GBuffer, Lig
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
+#: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
+BOUNDS = (64, 16)
 OUTPUTS = ("color", "diffuse", "specular", "light_count")
 #: (codec, models, kinds, polynomial, emissive, outputs): what CI compiles.
 VARIANTS = [
@@ -95,7 +97,7 @@ def make_shade_kernel(
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=BOUNDS)
     def shade_kernel(
         # Frame
         views: wp.array[View],

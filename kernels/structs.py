@@ -191,7 +191,7 @@ class RasterTarget:
     keys: wp.array[wp.uint64]  # z bits above (0xFFFFFFFF - id)
     depth_keys: wp.array[wp.uint32]  # z bits, for depth-only views
     large: wp.array[LargeTriangle]
-    large_count: wp.array[wp.int32]
+    large_count: wp.array[wp.int32]  # [large, huge]
     behind: wp.array[wp.uint64]  # keys a fragment must lie behind, where that mode is compiled in
 
 

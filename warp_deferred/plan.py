@@ -22,7 +22,7 @@ from .passes.clusters import ClustersPass
 from .passes.display import DisplayPass
 from .passes.light_culling import LightCullingPass
 from .passes.lights import LightsPass
-from .passes.raster import RasterPass
+from .passes.raster import RasterPass, large_stored
 from .passes.resolve import ResolvePass
 from .passes.shade import ShadePass
 from .program import Program
@@ -198,12 +198,10 @@ class Plan:
         """Counts read back from the last frame: what overflowed its capacity, in words; nothing if nothing did."""
         channels, raster, result = self.resources.channels, self.request.settings.raster, []
         if "large_count" in channels:
-            large = int(channels["large_count"].numpy()[0])
-            result.append(f"{large:,} large triangles of {raster.large_capacity:,} that fit the store")
-            if large > raster.large_capacity:
-                result.append(
-                    f"{large - raster.large_capacity:,} drawn by the slower path: raise raster.large_capacity"
-                )
+            stored, over = large_stored(channels["large_count"].numpy(), raster.large_capacity)
+            result.append(f"{stored:,} large triangles of {raster.large_capacity:,} that fit the store")
+            if over:
+                result.append(f"{over:,} drawn by the slower path: raise raster.large_capacity")
             used = int(channels["bin_offsets"].numpy()[-1]) + int(channels["bin_counts"].numpy()[-1])
             result.append(f"{used:,} bin entries of {raster.bin_capacity:,} that fit")
             if used > raster.bin_capacity:
