@@ -133,7 +133,8 @@ def make_shade_kernel(
             point = relative_position(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
             v = view_direction(view, point)
             lobe = view_lobe(s, wp.max(wp.dot(s.normal, v), MIN_N_DOT_V))
-            tile = view.tile_offset + (y >> masks.tile_shift) * view.tiles_x + (x >> masks.tile_shift)
+            tile = view.tile_offset - masks.first_tile
+            tile += (y >> masks.tile_shift) * view.tiles_x + (x >> masks.tile_shift)
             base = block[0] * lights.capacity
             for group in range(masks.summary_per_tile):
                 summary = masks.summary[tile * masks.summary_per_tile + group]

@@ -1,14 +1,17 @@
-"""Shade: light the G-buffer by each tile's lights."""
+"""Shade: light the G-buffer by each tile's lights; where light masks come in bands, band by band."""
 
 from __future__ import annotations
+
+import functools
 
 import warp as wp
 
 from ..kernels import shade as kernels
+from ..kernels.light_culling import make_light_culling_kernels
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
-from .light_culling import make_masks
+from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
 
 __all__ = ["ShadePass"]
@@ -21,6 +24,16 @@ class ShadePass(Pass):
 
     name = "shade"
     doc = "accumulate diffuse and specular light"
+
+    @functools.cached_property
+    def bands(self) -> tuple[Band, ...]:
+        """Bands the blocks are shaded in."""
+        return mask_bands(self.request, self.layout)
+
+    @property
+    def culls(self) -> bool:
+        """Whether the masks are filled here, band by band."""
+        return culls_by_band(self.request, self.bands)
 
     def called_for(self) -> str | None:
         """Something lit is asked for."""
@@ -48,6 +61,8 @@ class ShadePass(Pass):
             names.append("emission")
         if self.request.features.kinds:
             names += ["mask_words", "mask_summary", "staged_lights"]
+        if self.culls:
+            names += ["mask_coarse", "mask_bounds", "mask_coarse_bounds"]
         return tuple(names)
 
     def writes(self) -> dict[str, Buffer]:
@@ -57,7 +72,7 @@ class ShadePass(Pass):
         return {n: Buffer(TYPES[n], max(self.layout.pixels, 1)) for n in names}
 
     def prepare(self, resources: Resources) -> None:
-        """Fetch the kernel, build the structs."""
+        """Fetch the kernels, build the structs."""
         features = self.request.features
         outputs = tuple(n for n in kernels.OUTPUTS if n in self.writes())
         self.kernel = kernels.make_shade_kernel(
@@ -69,33 +84,37 @@ class ShadePass(Pass):
             outputs,
         )
         self.gbuffer = make_gbuffer(resources)
-        self.masks = make_masks(resources, features.light_capacity)
+        if self.culls:
+            depth_bounds = self.request.settings.light_culling.rung == "tiles_depth"
+            self.culling = make_light_culling_kernels(depth_bounds)
+        self.masks = [make_masks(resources, self.request, band) for band in self.bands]
         self.out = kernels.ShadeTarget()
         for name, dtype in TYPES.items():
             setattr(self.out, name, resources.channel(name, dtype))
 
     def run(self, resources: Resources) -> None:
-        """One launch."""
+        """One launch a band, after those that fill its masks where there are several."""
         frame = resources.frame
         emission = resources.channel("emission", wp.vec3)
-        inputs = [
-            frame.views,
-            frame.values,
-            resources.blocks,
-            self.gbuffer,
-            emission,
-            resources.lights.staged,
-            self.masks,
-            FIRST,
-        ]
-        resources.program.launch(
-            self.kernel, len(self.layout.blocks) * 64, inputs, [self.out], block_dim=kernels.BLOCK_DIM, band=64
-        )
+        for band, masks in zip(self.bands, self.masks, strict=True):
+            if self.culls:
+                fill_masks(resources, self.request, self.culling, masks, band)
+            blocks = resources.blocks[band.blocks]
+            lights = resources.lights.staged
+            resources.program.launch(
+                self.kernel,
+                (band.blocks.stop - band.blocks.start) * 64,
+                [frame.views, frame.values, blocks, self.gbuffer, emission, lights, masks, FIRST],
+                [self.out],
+                block_dim=kernels.BLOCK_DIM,
+                band=64,
+            )
 
     def bytes_moved(self) -> int:
-        """G-buffer in, radiance out."""
+        """G-buffer in, radiance out; and the masks that are filled here."""
         read = 4 + sum(
             wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
         )
         written = sum(wp.types.type_size_in_bytes(b.dtype) for b in self.writes().values())
-        return self.layout.pixels * (read + written) if needs_gbuffer(self.request) else 0
+        masks = len(self.layout.tiles) * mask_words(self.request)[0] * 4 if self.culls else 0
+        return self.layout.pixels * (read + written) + masks if needs_gbuffer(self.request) else 0
