@@ -30,7 +30,7 @@ from .structs import (
 PROBE_AREA_PX = (12, 32)
 #: Bin tiles of a box above which a triangle is huge: binned by a whole block of lanes, and kept apart at the end of the
 #: store, a share of which is theirs.
-HUGE_TILES = 64
+HUGE_TILES = 32
 HUGE_SHARE = 16
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

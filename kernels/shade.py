@@ -21,7 +21,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
-BOUNDS = (64, 16)
+BOUNDS = (64, 18)
 OUTPUTS = ("color", "diffuse", "specular", "light_count")
 #: (codec, models, kinds, polynomial, emissive, outputs): what CI compiles.
 VARIANTS = [
