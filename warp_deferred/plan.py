@@ -18,6 +18,7 @@ from .errors import CapacityError, Error
 from .light_store import LightStore
 from .memory import enough_memory
 from .passes.base import Buffer, Pass, Request
+from .passes.bloom import BloomPass, bloom_verdict
 from .passes.clusters import ClustersPass
 from .passes.display import DisplayPass
 from .passes.light_culling import LightCullingPass
@@ -33,7 +34,8 @@ __all__ = ["PASSES", "PassReport", "Plan"]
 
 #: Every pass, in frame order.
 PASSES: tuple[type[Pass], ...] = (
-    ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
+    ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, BloomPass,
+    DisplayPass,
 )  # fmt: skip
 ALIGNMENT = 256
 #: Elements of one device array.
@@ -115,6 +117,8 @@ class Plan:
     def _why_not(self, stage: Pass, reason: str | None) -> str:
         if reason:
             return "no output asked for reads what it writes"
+        if stage.name == "bloom":
+            return bloom_verdict(self.request)[1]
         if stage.name in ("lights", "light_culling"):
             return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
         if stage.name == "clusters":

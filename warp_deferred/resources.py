@@ -17,7 +17,9 @@ __all__ = ["FrameBlock", "Resources"]
 
 
 class FrameBlock:
-    """Everything the host changes every frame, in one block and one copy: views, then frame values.
+    """Everything the host changes every frame, in one block and one copy: views, frame values, then a cleared flag.
+
+    `bright` is one device integer that kernels may set in a frame; the copy itself sets it back to 0.
 
     The pinned copies form a ring, so that the host can write the next frame while the device still reads the last.
     """
@@ -28,13 +30,15 @@ class FrameBlock:
         view_size = np.dtype(structs.View.numpy_dtype()).itemsize
         value_size = np.dtype(structs.FrameValues.numpy_dtype()).itemsize
         self.values_offset = views * view_size
-        self.size = self.values_offset + value_size
+        flag_offset = self.values_offset + value_size
+        self.size = flag_offset + 4
         self.device = device
         self._block = wp.zeros(self.size, dtype=wp.uint8, device=device)
         self.views = wp.array(ptr=self._block.ptr, dtype=structs.View, shape=(views,), device=device, copy=False)
         self.values = wp.array(
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
+        self.bright = wp.array(ptr=self._block.ptr + flag_offset, dtype=wp.int32, shape=(1,), device=device, copy=False)
         pinned = device.is_cuda
         # One pinned allocation for all slots: enough that a host far ahead of the device still does not wait.
         slots = min(1024, max(4, self.RING_BYTES // self.size)) if pinned else 1

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from .effect_settings import BloomSettings
 from .records import Record
 
 __all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
@@ -71,6 +72,8 @@ class Settings(Record):
     """Tiles and light masks."""
     shade: ShadeSettings = ShadeSettings()
     """Lighting."""
+    bloom: BloomSettings = BloomSettings()
+    """Light the lens scatters."""
     display: DisplaySettings = DisplaySettings()
     """Tone mapping."""
 

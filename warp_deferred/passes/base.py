@@ -18,7 +18,27 @@ from ..views import ViewLayout, ViewSize
 if TYPE_CHECKING:
     from ..resources import Resources
 
-__all__ = ["Buffer", "Pass", "Request"]
+__all__ = ["Buffer", "Lens", "Pass", "Request"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Lens:
+    """What the lenses of the cameras call for; true if any camera of the batch has it.
+
+    Attributes:
+        aperture: An opening wider than a pinhole.
+        shutter: A shutter that stays open.
+        bloom: A lens that scatters light.
+    """
+
+    aperture: bool = False
+    shutter: bool = False
+    bloom: bool = False
+
+    @classmethod
+    def of(cls, flags: int) -> Lens:
+        """Read the bits of `Camera.lens_flags`, of one camera or of several joined by `|`."""
+        return cls(bool(flags & 1), bool(flags & 2), bool(flags & 4))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +57,7 @@ class Request:
         scene_key: Identity of the device scene the structs point to.
         threads: Host threads on the CPU; 0 on CUDA.
         share_memory: Let buffers whose lives do not overlap share memory.
+        lens: What the cameras' lenses call for.
     """
 
     outputs: frozenset[str]
@@ -50,6 +71,7 @@ class Request:
     scene_key: int
     threads: int
     share_memory: bool = True
+    lens: Lens = Lens()
 
 
 @dataclasses.dataclass(frozen=True)

@@ -6,9 +6,11 @@ import warp as wp
 
 from ..kernels import color as color_kernels
 from ..kernels import display as kernels
+from ..kernels import structs
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
+from .bloom import bloom_verdict, make_bloom
 from .shade import ShadePass
 
 __all__ = ["DisplayPass"]
@@ -33,9 +35,14 @@ class DisplayPass(Pass):
         """Whether it reads half radiance."""
         return not ShadePass(self.request, self.layout).float_color
 
+    @property
+    def blooms(self) -> bool:
+        """Whether bloom is in the plan."""
+        return bloom_verdict(self.request)[0]
+
     def reads(self) -> tuple[str, ...]:
-        """Radiance."""
-        return ("radiance",) if self.half else ("color",)
+        """Radiance, and bloom where there is some."""
+        return ("radiance" if self.half else "color", *(("bloom",) if self.blooms else ()))
 
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
@@ -43,13 +50,17 @@ class DisplayPass(Pass):
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernel, upload the thresholds."""
-        self.kernel = kernels.make_display_kernel(self.request.settings.display.tone_mapping, self.half)
+        self.bloom, kind = structs.Bloom(), ""
+        if self.blooms:
+            self.bloom = make_bloom(resources, self.request, self.layout)
+            kind = "full" if self.request.settings.bloom.rung == "exact" else "levels"
+        self.kernel = kernels.make_display_kernel(self.rung(), self.half, kind)
         self.thresholds = wp.array(color_kernels.srgb_thresholds(), dtype=wp.float32, device=resources.device)
 
     def run(self, resources: Resources) -> None:
         """One launch."""
         radiance, color = resources.channel("radiance", wp.uint64), resources.channel("color", wp.vec3)
-        inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, FIRST]
+        inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, self.bloom, FIRST]
         resources.program.launch(
             self.kernel,
             len(self.layout.blocks) * 64,
@@ -60,5 +71,6 @@ class DisplayPass(Pass):
         )
 
     def bytes_moved(self) -> int:
-        """Radiance in, bytes out."""
-        return self.layout.pixels * ((8 if self.half else 12) + 4)
+        """Radiance and bloom in, bytes out."""
+        bloom = (12 if self.request.settings.bloom.rung == "exact" else 2) if self.blooms else 0
+        return self.layout.pixels * ((8 if self.half else 12) + bloom + 4)

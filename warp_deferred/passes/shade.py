@@ -11,6 +11,7 @@ from ..kernels.light_culling import make_light_culling_kernels
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
+from .bloom import bright_level
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
 
@@ -75,6 +76,9 @@ class ShadePass(Pass):
         """Fetch the kernels, build the structs."""
         features = self.request.features
         outputs = tuple(n for n in kernels.OUTPUTS if n in self.writes())
+        level = bright_level(self.request)
+        if level is not None:
+            outputs += ("bright",)
         self.kernel = kernels.make_shade_kernel(
             gbuffer_codec(self.request),
             features.models,
@@ -91,6 +95,7 @@ class ShadePass(Pass):
         self.out = kernels.ShadeTarget()
         for name, dtype in TYPES.items():
             setattr(self.out, name, resources.channel(name, dtype))
+        self.out.bright, self.out.bright_level = resources.frame.bright, level or 0.0
 
     def run(self, resources: Resources) -> None:
         """One launch a band, after those that fill its masks where there are several."""
