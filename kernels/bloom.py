@@ -92,7 +92,7 @@ def half_texel(v: wp.vec3):
 def six_texels(
     texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32, outer: float, middle: float, inner: float
 ):
-    """Weighted sum of six texels of a row around the corner left of x; pairs first, so that mirroring changes nothing."""
+    """Weighted sum of six texels of a row around the corner left of x; pairs first, so that mirrors agree."""
     a = texel(texels, level, x - 3, y) + texel(texels, level, x + 2, y)
     b = texel(texels, level, x - 2, y) + texel(texels, level, x + 1, y)
     c = texel(texels, level, x - 1, y) + texel(texels, level, x, y)
@@ -186,7 +186,7 @@ def make_bright_kernel(half: bool, weighted: bool):
                     value = color[i]
                 b = bright_part(exposed(value, view.exposure), bloom)
                 # 1 3 3 1 along each axis.
-                weight = wp.float32((1 + (((dx + 1) & 2))) * (1 + (((dy + 1) & 2))))
+                weight = wp.float32((1 + ((dx + 1) & 2)) * (1 + ((dy + 1) & 2)))
                 if wp.static(weighted):
                     weight = weight / (1.0 + 0.2126 * b[0] + 0.7152 * b[1] + 0.0722 * b[2])
                     weights += weight

@@ -1,4 +1,4 @@
-"""Bloom, the reference: a sum of Gaussians of the bright part, every one summed over the pixels at full size in float32.
+"""Bloom, the reference: a sum of Gaussians of the bright part, each summed over the pixels at full size in float32.
 
 A Gaussian is sampled at whole pixels out to five standard deviations and its weights are divided by their sum, along
 rows, then along columns. Beyond the picture's edge the picture is mirrored as often as it takes, so that light is

@@ -1,4 +1,4 @@
-"""Display: exposure, bloom, tone curve and sRGB encoding to 8 bits. One thread a pixel, block size 64; last in the frame.
+"""Display: exposure, bloom, tone curve and sRGB encoding to 8 bits. One thread a pixel, block size 64; last.
 
 With bloom in the plan a pixel gives up the scattered share of its bright part and takes in bloom's; the pyramid is
 interpolated here, at 2 bytes a pixel, where a full-size bloom image would be 8 written and 8 read.

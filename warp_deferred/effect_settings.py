@@ -29,8 +29,8 @@ class BloomSettings(Record):
     """
 
     rung: Literal["off", "neighbourhood", "mip_chain", "exact"] = "mip_chain"
-    """neighbourhood: mean of a square window at half size, two launches, for narrow blooms; mip_chain: a pyramid of half
-    sizes, about a third more pixels and two launches a level; exact: every Gaussian summed at full size in float32,
+    """neighbourhood: mean of a square window at half size, two launches, for narrow blooms; mip_chain: a pyramid of
+    half sizes, a third more pixels and two launches a level; exact: every Gaussian summed at full size in float32,
     thousands of operations a pixel (reference)."""
     when: Literal["called_for", "always"] = "called_for"
     """called_for: where a camera's lens has bloom; always: wherever `display` is asked for."""

@@ -273,6 +273,8 @@ class BloomPass(Pass):
         """Radiance in; each level down and up once, or each Gaussian's rows and columns."""
         pixels, image = self.layout.pixels, 8 if self.half else 12
         if self.rung() == "exact":
-            most = max((level_count(s.height, self.request.settings.bloom.radius) for s in self.layout.sizes), default=0)
+            most = max(
+                (level_count(s.height, self.request.settings.bloom.radius) for s in self.layout.sizes), default=0
+            )
             return pixels * (image + 12 + most * 60)
         return pixels * image + 8 * self.pyramid.texels * (3 if self.rung() == "neighbourhood" else 4)
