@@ -2,10 +2,11 @@
 
 The lens scatters a share of b, the part of exposed radiance above a threshold with a soft start (`bright_part`), by a
 sum of blurs. Level k has texels of 2^k pixels. `bright` makes level 1 from the picture: taps 1 3 3 1 along each axis,
-the narrowest ones that neither shift nor favour a pixel, and in fours weighted by 1 / (1 + luminance) so that a lone
-bright pixel does not flicker (Karis 2013, "Tone Mapping"). `downsample` is the filter of 13 bilinear taps of Jimenez
-2014, "Next Generation Post Processing in Call of Duty: Advanced Warfare", written out as the 6 x 6 texels they touch;
-`upsample` is his 3 x 3 tent, 4 x 4 texels, mixed into the level below. Display interpolates level 1 itself.
+the narrowest ones that neither shift nor favour a pixel, each weighted by 1 / (1 + luminance / limit) so that a lone
+bright pixel does not flicker (Karis 2013, "Tone Mapping", where the limit is 1). `downsample` is the filter of 13
+bilinear taps of Jimenez 2014, "Next Generation Post Processing in Call of Duty: Advanced Warfare", written out as the
+6 x 6 texels they touch; `upsample` is his 3 x 3 tent, 4 x 4 texels, mixed into the level below. Display interpolates
+level 1 itself.
 All weights are sums of powers of two and add up to 1 exactly. Beyond the picture's edge the picture is mirrored.
 
 Levels are half4 and hold exposed radiance in [0, 65504]. One thread a texel over 8 x 8 blocks of a level, block size
@@ -13,7 +14,8 @@ Levels are half4 and hold exposed radiance in [0, 65504]. One thread a texel ove
 
 Bytes for P pixels: `bright` reads 8 P (12 P in float32) and writes 2 P; the levels below are read and written once
 downwards and once upwards, 2/3 P and 10/3 P, all of it within the L2 cache at 1080p. Display reads 2 P more.
-Operations: `bright` about 70 for each of 16 taps a texel, 4 taps a pixel; everything else is below a fifth of that.
+Operations: `bright` has 16 taps a texel, 4 a pixel, of about 25 operations where a pixel is dark and 60, two divisions
+among them, where it is not; the 13 taps read 36 texels for 16 pixels and the tent 16 for 4.
 """
 
 from __future__ import annotations
@@ -149,7 +151,7 @@ def make_bright_kernel(half: bool, weighted: bool):
 
     Args:
         half: Read the half4 radiance, else the float32 colour.
-        weighted: Weigh pixels by 1 / (1 + luminance) of their bright part.
+        weighted: Weigh pixels by 1 / (1 + luminance / limit) of their bright part.
     """
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
@@ -188,7 +190,10 @@ def make_bright_kernel(half: bool, weighted: bool):
                 # 1 3 3 1 along each axis.
                 weight = wp.float32((1 + ((dx + 1) & 2)) * (1 + ((dy + 1) & 2)))
                 if wp.static(weighted):
-                    weight = weight / (1.0 + 0.2126 * b[0] + 0.7152 * b[1] + 0.0722 * b[2])
+                    luminance = 0.2126 * b[0] + 0.7152 * b[1] + 0.0722 * b[2]
+                    # Most pixels are dark: they spare the division.
+                    if luminance > 0.0:
+                        weight = weight / (1.0 + luminance * bloom.firefly)
                     weights += weight
                 total += b * weight
         if wp.static(weighted):

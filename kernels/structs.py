@@ -316,6 +316,7 @@ class Bloom:
     threshold: wp.float32  # exposed white is 1
     knee: wp.float32  # half the width of the soft start
     soft: wp.float32  # 1 / (4 knee), 0 without one
+    firefly: wp.float32  # 1 / the luminance at which a pixel counts half in level 1
 
 
 @wp.struct

@@ -26,7 +26,7 @@ from warp_deferred.views import ViewLayout, ViewPacker, ViewSize
 __all__ = ["KEEP", "Blooming", "bloom_of", "gaussians_of", "shown"]
 
 #: All light scatters, linearly.
-KEEP = ("bloom.threshold=0", "bloom.fireflies=kept")
+KEEP = ("bloom.threshold=0", "bloom.fireflies=0")
 
 
 @functools.cache

@@ -23,15 +23,15 @@ class BloomSettings(Record):
     b is all of c, and this is (1 - s) c + s B(c). Light is moved, not made; what would leave the picture is mirrored
     back at its edge.
 
-    Errors against `exact` are stated for fireflies="kept", as sums of absolute differences of B over the picture,
+    Errors against `exact` are stated for fireflies=0, as sums of absolute differences of B over the picture,
     divided by the sum of B: mip_chain at most 0.15, and nowhere more than 0.3 of the largest B; neighbourhood at most
     1.6 (2 would be light in wholly different places).
     """
 
     rung: Literal["off", "neighbourhood", "mip_chain", "exact"] = "mip_chain"
-    """neighbourhood: mean of a square window at half size, two launches, for narrow blooms; mip_chain: a pyramid of
-    half sizes, a third more pixels and two launches a level; exact: every Gaussian summed at full size in float32,
-    thousands of operations a pixel (reference)."""
+    """neighbourhood: mean of a square window at half size, which shows as a square around small lamps, two launches;
+    mip_chain: a pyramid of half sizes, a third more pixels and two launches a level; exact: every Gaussian summed at
+    full size in float32, thousands of operations a pixel (reference)."""
     when: Literal["called_for", "always"] = "called_for"
     """called_for: where a camera's lens has bloom; always: wherever `display` is asked for."""
     threshold: float = Field(1.0, ge=0.0, le=65504.0)
@@ -45,8 +45,8 @@ class BloomSettings(Record):
     falloff: float = Field(0.7, gt=0.0, le=2.0)
     """Weight of each Gaussian in relation to the next narrower one [1]; the glow falls off like the distance to the
     power log2(falloff) - 2. Free."""
-    fireflies: Literal["weighted", "kept"] = "weighted"
-    """weighted: neighbours that are averaged first count by 1 / (1 + luminance), so that a lone bright pixel does not
-    flicker; it also takes light from small bright things. kept: plain averages, linear. Not in exact."""
+    fireflies: float = Field(16.0, ge=0.0, le=65504.0)
+    """Exposed luminance at which a pixel counts half when neighbours are averaged first, so that a lone bright one does
+    not flicker [1 is white]; what it counts less is lost. 0: plain averages. Not in exact. A division a pixel."""
     window: int = Field(3, ge=1, le=8)
     """neighbourhood: half the width of the window [2 px]; (2 window + 1) squared reads for every four pixels."""

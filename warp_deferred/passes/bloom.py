@@ -132,6 +132,7 @@ def make_bloom(resources: Resources, request: Request, layout: ViewLayout) -> st
     if bright_level(request) is None:
         bloom.bright = wp.ones(1, dtype=wp.int32, device=resources.device)
     bloom.level_count = pyramid.count
+    bloom.firefly = 1.0 / settings.fireflies if settings.fireflies > 0.0 else 0.0
     bloom.threshold, bloom.knee, bloom.soft = settings.threshold, knee, 0.25 / knee if knee > 0.0 else 0.0
     return bloom
 
@@ -193,7 +194,7 @@ class BloomPass(Pass):
         from ..kernels import bloom as kernels
 
         self.kernels = kernels
-        self.bright = kernels.make_bright_kernel(self.half, settings.fireflies == "weighted")
+        self.bright = kernels.make_bright_kernel(self.half, settings.fireflies > 0.0)
         self.down = [table_array(t, device) for t in self.pyramid.down]
         self.up = [table_array(t, device) for t in self.pyramid.up]
 
