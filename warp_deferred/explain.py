@@ -7,8 +7,9 @@ import io
 from typing import Any
 
 from .device_scene import DeviceScene
-from .plan import PassReport, Plan
+from .plan import Plan
 from .scene import Scene
+from .selection import PassReport
 
 __all__ = ["Explanation", "MemoryReport"]
 

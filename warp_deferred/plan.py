@@ -1,8 +1,7 @@
-"""The plan: keeps the passes that are called for, orders them, allocates, builds the program, explains itself.
+"""The plan: the passes of a request with their buffers and recorded launches; it explains itself.
 
-From the outputs asked for, backwards: a pass runs if something it writes is read by a pass that runs or was asked for,
-and if the scene, the cameras or the settings call for it. Buffers whose lives do not overlap share memory; outputs
-keep theirs until the next frame.
+Buffers whose lives do not overlap share memory; outputs keep theirs until the next frame. Which passes run is decided
+in selection.py.
 """
 
 from __future__ import annotations
@@ -14,12 +13,13 @@ from collections.abc import Callable
 import warp as wp
 
 from .device_scene import DeviceScene
-from .errors import CapacityError, Error
+from .errors import CapacityError
 from .light_store import LightStore
 from .memory import enough_memory
 from .passes.base import Buffer, Pass, Request
 from .passes.clusters import ClustersPass
 from .passes.display import DisplayPass
+from .passes.image import all_reads, all_writes
 from .passes.light_culling import LightCullingPass
 from .passes.lights import LightsPass
 from .passes.raster import RasterPass, large_stored
@@ -27,11 +27,12 @@ from .passes.resolve import ResolvePass
 from .passes.shade import ShadePass
 from .program import Program
 from .resources import Resources
+from .selection import PassReport, select, verify
 from .views import ViewLayout, ViewPacker
 
-__all__ = ["PASSES", "PassReport", "Plan"]
+__all__ = ["PASSES", "Plan"]
 
-#: Every pass, in frame order.
+#: Every pass a frame is made of, in order; effects.py has the optional ones.
 PASSES: tuple[type[Pass], ...] = (
     ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
 )  # fmt: skip
@@ -40,18 +41,6 @@ ALIGNMENT = 256
 MAX_ELEMENTS = 2**31 - 1
 #: One alignment unit as an array element.
 UNIT = wp.types.vector(length=32, dtype=wp.float64)
-
-
-@dataclasses.dataclass(frozen=True)
-class PassReport:
-    """One line of `explain`."""
-
-    name: str
-    runs: bool
-    reason: str
-    rung: str
-    milliseconds: float | None = None
-    bytes: int | None = None
 
 
 class Plan:
@@ -78,9 +67,8 @@ class Plan:
         self.request = request
         self.layout = ViewLayout(request.sizes, request.settings.light_culling.tile_size)
         self.packer = ViewPacker(self.layout, request.settings.raster.cull)
-        self._reports: list[PassReport] = []
-        self.passes = self._select()
-        self._verify()
+        self.passes, self._reports = select(request, self.layout, PASSES)
+        verify(self.passes, request.outputs)
         self._check_counts()
         buffers, places, total = self._lay_out()
         # Nothing is allocated before this line: what cannot be held has been refused.
@@ -95,49 +83,9 @@ class Plan:
         program.load(progress)
         self._captured = False
 
-    def _select(self) -> list[Pass]:
-        needed = set(self.request.outputs)
-        kept: list[Pass] = []
-        for kind in reversed(PASSES):
-            stage = kind(self.request, self.layout)
-            reason = stage.called_for()
-            writes = set(stage.writes()) if reason else set()
-            if reason and writes & needed:
-                kept.append(stage)
-                needed |= set(stage.reads())
-                self._reports.append(PassReport(stage.name, True, reason, stage.rung(), bytes=stage.bytes_moved()))
-            else:
-                self._reports.append(PassReport(stage.name, False, self._why_not(stage, reason), "off"))
-        self._reports.reverse()
-        kept.reverse()
-        return kept
-
-    def _why_not(self, stage: Pass, reason: str | None) -> str:
-        if reason:
-            return "no output asked for reads what it writes"
-        if stage.name in ("lights", "light_culling"):
-            return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
-        if stage.name == "clusters":
-            return "the scene has no triangles"
-        return "no output asked for needs it"
-
-    def _verify(self) -> None:
-        written: set[str] = set()
-        for stage in self.passes:
-            for name in stage.reads():
-                if name not in written:
-                    raise Error(
-                        f"{type(stage).__name__} reads {name!r}: expected an earlier pass that writes it, got none; "
-                        "add the pass or ask for another output"
-                    )
-            written |= set(stage.writes())
-        missing = self.request.outputs - written
-        if missing:
-            raise Error(f"outputs: expected names some pass writes, got {sorted(missing)}; leave them out")
-
     def _check_counts(self) -> None:
         for stage in self.passes:
-            for name, buffer in stage.writes().items():
+            for name, buffer in all_writes(stage).items():
                 if buffer.count > MAX_ELEMENTS:
                     raise CapacityError(
                         f"{stage.name}: expected at most {MAX_ELEMENTS} elements of {name!r}, got {buffer.count}; "
@@ -150,11 +98,11 @@ class Plan:
         born: dict[str, int] = {}
         dies: dict[str, int] = {}
         for k, stage in enumerate(self.passes):
-            for name, buffer in stage.writes().items():
+            for name, buffer in all_writes(stage).items():
                 if buffer.dtype is not None:
                     buffers[name], born[name] = buffer, max(0, k - buffer.early) if self.request.share_memory else 0
                     dies[name] = len(self.passes) if buffer.lasting or not self.request.share_memory else k
-            for name in stage.reads():
+            for name in all_reads(stage):
                 dies[name] = max(dies.get(name, k), k)
         self.memory = {n: _padded(b.count * wp.types.type_size_in_bytes(b.dtype)) for n, b in buffers.items()}
         transient = [n for n in buffers if n not in self.request.outputs]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 import os
 import struct
@@ -21,7 +22,7 @@ from .frame import Frame
 from .kernels import clusters as cluster_kernels
 from .light_store import LightStore
 from .memory import enough_memory
-from .passes.base import Request
+from .passes.base import Lens, Request
 from .plan import Plan
 from .scene import Scene
 from .settings import Settings
@@ -197,11 +198,11 @@ class Renderer:
     def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
         scene = self.scene
         seen = (scene.structure_revision, scene.lights.structure_revision, scene.look_revision)
-        worlds = tuple([c.world for c in cameras])
+        chosen = tuple([c.selector for c in cameras])
         # The common case, a frame like the last one, must not hash settings or requests.
         settings = self._settings or scene.settings
         fast = self._fast
-        if fast is not None and fast[0] == seen and fast[1] == worlds and fast[2] is settings:
+        if fast is not None and fast[0] == seen and fast[1] == chosen and fast[2] is settings:
             return fast[3]
         if self._device_scene is None or self._seen[:1] != seen[:1]:
             self._load_scene()
@@ -209,7 +210,7 @@ class Renderer:
             self._features = Features.of(scene)
             self._seen = seen
             self._requests.clear()
-        key = (worlds, settings)
+        key = (chosen, settings)
         request = self._requests.get(key)
         if request is None:
             request = self._requests[key] = self._request(cameras)
@@ -219,7 +220,7 @@ class Renderer:
         if plan is not self._plan:
             self._plans[request] = self._plans.pop(request)
             self._plan = plan
-        self._fast = (seen, worlds, settings, plan, self._ranges(cameras))
+        self._fast = (seen, chosen, settings, plan, self._ranges(cameras))
         return plan
 
     def _load_scene(self) -> None:
@@ -250,6 +251,7 @@ class Renderer:
             scene_key=self._scene_key,
             threads=self._threads,
             share_memory=self._share_memory,
+            lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:

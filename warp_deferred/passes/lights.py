@@ -24,6 +24,10 @@ class LightsPass(Pass):
             return "the scene has lights" + (f" ({infinite} without a range, in every tile)" if infinite else "")
         return None
 
+    def why_not(self) -> str:
+        """No light, or nothing lit."""
+        return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
+
     def reads(self) -> tuple[str, ...]:
         """Nothing but the scene."""
         return ()
