@@ -12,6 +12,8 @@ import importlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from .sampling import pixel_samples
+
 if TYPE_CHECKING:
     from .passes.base import Pass, Request
 
@@ -59,8 +61,18 @@ class Effect:
         return verdict
 
 
+def _sampled(request: Request) -> Verdict:
+    rungs = [f"anti_aliasing.rung={request.settings.anti_aliasing.rung}"] * (pixel_samples(request) > 1)
+    return Verdict(bool(rungs), ", ".join(rungs) or "no rung takes several samples a pixel")
+
+
 #: Every optional effect, in frame order.
-EFFECTS: tuple[Effect, ...] = ()
+EFFECTS: tuple[Effect, ...] = (
+    Effect("start_samples", "", _sampled, "sampling", quiet=True),
+    Effect("begin_sample", "", _sampled, "sampling", quiet=True),
+    Effect("accumulate", "shade", _sampled, "sampling"),
+    Effect("average", "accumulate", _sampled, "sampling", quiet=True),
+)
 
 
 def called_for(request: Request, name: str) -> bool:

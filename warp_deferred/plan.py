@@ -7,16 +7,18 @@ in selection.py.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import statistics
 from collections.abc import Callable
 
 import warp as wp
 
+from .arena import ALIGNMENT, lay_out
 from .device_scene import DeviceScene
-from .errors import CapacityError
+from .errors import CapacityError, Error
 from .light_store import LightStore
 from .memory import enough_memory
-from .passes.base import Buffer, Pass, Request
+from .passes.base import Pass, Request
 from .passes.clusters import ClustersPass
 from .passes.display import DisplayPass
 from .passes.image import all_reads, all_writes
@@ -25,8 +27,9 @@ from .passes.lights import LightsPass
 from .passes.raster import RasterPass, large_stored
 from .passes.resolve import ResolvePass
 from .passes.shade import ShadePass
-from .program import Program
+from .program import END, SAMPLE, START, Program
 from .resources import Resources
+from .sampling import sample_count
 from .selection import PassReport, select, verify
 from .views import ViewLayout, ViewPacker
 
@@ -36,7 +39,10 @@ __all__ = ["PASSES", "Plan"]
 PASSES: tuple[type[Pass], ...] = (
     ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
 )  # fmt: skip
-ALIGNMENT = 256
+#: Scopes of the passes that run once a sample.
+LOOP = ("sample", "accumulate")
+#: Passes a plan may skip by a value on the device: each costs some µs even where it is skipped.
+MAX_ACTIVE = 2
 #: Elements of one device array.
 MAX_ELEMENTS = 2**31 - 1
 #: One alignment unit as an array element.
@@ -52,6 +58,9 @@ class Plan:
         passes: The passes that run, in order.
         packer: Writes cameras into the frame block.
         resources: Buffers and tables.
+        replays: How often the passes that look at one sample run in a frame.
+        outputs: Arrays of the outputs.
+        shown: Those that were asked for, and not for a user's own pass alone.
 
     Raises:
         CapacityError: If a buffer would not fit its ids; before anything is allocated.
@@ -70,18 +79,48 @@ class Plan:
         self.passes, self._reports = select(request, self.layout, PASSES)
         verify(self.passes, request.outputs)
         self._check_counts()
-        buffers, places, total = self._lay_out()
+        looped = [k for k, stage in enumerate(self.passes) if stage.scope in LOOP]
+        self.replays = self._replays()
+        loop = range(looped[0], looped[-1] + 1) if self.replays > 1 else range(0)
+        self._places = lay_out(self.passes, request, loop)
+        self.memory = self._places.sizes
+        self.bytes = self._places.total + sum(self.memory[name] for name in request.outputs)
         # Nothing is allocated before this line: what cannot be held has been refused.
         with enough_memory("frame", self.bytes, scene.device, "render smaller or fewer views, or fewer outputs"):
-            program = Program(scene.device, request.threads)
+            program = Program(scene.device, request.threads, self.replays)
             self.resources = Resources.make(scene, lights(), self.layout, program)
-            self._allocate(buffers, places, total)
-            for stage in self.passes:
-                stage.prepare(self.resources)
-                program.begin(stage.name)
-                stage.run(self.resources)
+            self._allocate()
+            for k, stage in enumerate(self.passes):
+                self._build(stage, START if k < loop.start else END if k >= loop.stop > 0 else SAMPLE)
         program.load(progress)
-        self._captured = False
+
+    def _replays(self) -> int:
+        """How often the sample part runs: once a sample, and once more where something needs the pixel's centre."""
+        sums = next((stage for stage in self.passes if stage.scope == "accumulate"), None)
+        if sums is None:
+            return 1
+        averaged = set(all_reads(sums))
+        inside = {name for stage in self.passes if stage.scope in LOOP for name in all_writes(stage)} - averaged
+        after = {name for stage in self.passes if stage.scope == "frame_end" for name in all_reads(stage)}
+        return sample_count(self.request) + bool(inside & (after | self.request.outputs))
+
+    def _build(self, stage: Pass, part: int) -> None:
+        """Prepare a pass and add its launches to the program."""
+        resources = self.resources
+        resources.frame.sampling = part == SAMPLE
+        stage.prepare(resources)
+        condition, otherwise = stage.active(resources), None
+        if condition is not None and stage.image == "turn":
+            target, source = resources.channels[stage.target], resources.channels[stage.source]
+            otherwise = functools.partial(wp.copy, target, source)
+        resources.program.begin(stage.name, part, condition, otherwise)
+        stage.run(resources)
+        conditions = [s.name for s in resources.program.sections if s.condition is not None]
+        if len(conditions) > MAX_ACTIVE:
+            raise Error(
+                f"{stage.name}.active: expected at most {MAX_ACTIVE} passes with a condition on the device, got "
+                f"{', '.join(conditions)}; decide on the host, or in the kernel itself"
+            )
 
     def _check_counts(self) -> None:
         for stage in self.passes:
@@ -92,29 +131,11 @@ class Plan:
                         "render fewer views at a time"
                     )
 
-    def _lay_out(self) -> tuple[dict[str, Buffer], dict[str, int], int]:
-        """Buffers by name, offsets of the transient ones in the shared arena, and the arena's bytes."""
-        buffers: dict[str, Buffer] = {}
-        born: dict[str, int] = {}
-        dies: dict[str, int] = {}
-        for k, stage in enumerate(self.passes):
-            for name, buffer in all_writes(stage).items():
-                if buffer.dtype is not None:
-                    buffers[name], born[name] = buffer, max(0, k - buffer.early) if self.request.share_memory else 0
-                    dies[name] = len(self.passes) if buffer.lasting or not self.request.share_memory else k
-            for name in all_reads(stage):
-                dies[name] = max(dies.get(name, k), k)
-        self.memory = {n: _padded(b.count * wp.types.type_size_in_bytes(b.dtype)) for n, b in buffers.items()}
-        transient = [n for n in buffers if n not in self.request.outputs]
-        places, total = _place(transient, self.memory, born, dies)
-        self.bytes = total + sum(self.memory[n] for n in self.request.outputs)
-        return buffers, places, total
-
-    def _allocate(self, buffers: dict[str, Buffer], places: dict[str, int], total: int) -> None:
-        device, channels = self.resources.device, self.resources.channels
+    def _allocate(self) -> None:
+        device, channels, buffers = self.resources.device, self.resources.channels, self._places.buffers
         # Whole alignment units as elements: an arena of bytes would end at 2 GiB.
-        self.arena = wp.zeros(max(total, ALIGNMENT) // ALIGNMENT, dtype=UNIT, device=device)
-        for name, offset in places.items():
+        self.arena = wp.zeros(max(self._places.total, ALIGNMENT) // ALIGNMENT, dtype=UNIT, device=device)
+        for name, offset in self._places.places.items():
             buffer = buffers[name]
             channels[name] = wp.array(
                 ptr=self.arena.ptr + offset, dtype=buffer.dtype, shape=(buffer.count,), device=device, copy=False
@@ -124,6 +145,7 @@ class Plan:
             buffer = buffers[name]
             channels[name] = wp.zeros(max(buffer.count, 1), dtype=buffer.dtype, device=device)
             self.outputs[name] = self._as_image(channels[name], buffer.public or buffer.dtype)
+        self.shown = {name: array for name, array in self.outputs.items() if name not in self.request.hidden}
 
     def _as_image(self, array: wp.array, dtype: type) -> wp.array:
         sizes = [s for s in self.layout.sizes if not s.depth_only]
@@ -137,9 +159,6 @@ class Plan:
 
     def replay(self) -> None:
         """Run the frame; the first call on CUDA captures it."""
-        if not self._captured:
-            self.resources.program.capture()
-            self._captured = True
         self.resources.program.replay()
 
     def counters(self) -> list[str]:
@@ -157,35 +176,28 @@ class Plan:
         return result
 
     def reports(self, measure: bool, repeats: int = 20) -> list[PassReport]:
-        """What runs and why, with the median milliseconds of each pass where asked for."""
-        if not measure:
-            return list(self._reports)
-        times = self.resources.program.measure(repeats)
-        return [
-            dataclasses.replace(r, milliseconds=statistics.median(times[r.name])) if r.runs else r
-            for r in self._reports
-        ]
-
-
-def _padded(size: int) -> int:
-    return -(-max(size, 1) // ALIGNMENT) * ALIGNMENT
-
-
-def _place(
-    names: list[str], sizes: dict[str, int], born: dict[str, int], dies: dict[str, int]
-) -> tuple[dict[str, int], int]:
-    """Offsets in one arena, largest first, each at the lowest place free for its whole life."""
-    places: dict[str, int] = {}
-    total = 0
-    for name in sorted(names, key=lambda n: -sizes[n]):
-        overlapping = sorted(
-            (places[o], places[o] + sizes[o]) for o in places if born[o] <= dies[name] and born[name] <= dies[o]
-        )
-        offset = 0
-        for low, high in overlapping:
-            if offset + sizes[name] <= low:
-                break
-            offset = max(offset, high)
-        places[name] = offset
-        total = max(total, offset + sizes[name])
-    return places, total
+        """What runs and why; where asked for with the median milliseconds, over all samples, and what was active."""
+        program = self.resources.program
+        times = program.measure(repeats) if measure else {}
+        if measure:
+            # The passes left their buffers as no frame would.
+            self.replay()
+        sections = {section.name: section for section in program.sections}
+        doubts = {stage.name: stage.active_if or "its condition holds" for stage in self.passes}
+        result = []
+        for report in self._reports:
+            section = sections.get(report.name)
+            if section is not None:
+                count = self.replays if section.part == SAMPLE else 1
+                reason = report.reason
+                if section.condition is not None:
+                    reason += f"; active if {doubts[report.name]}"
+                report = dataclasses.replace(
+                    report,
+                    reason=reason,
+                    bytes=report.bytes * count,
+                    milliseconds=statistics.median(times[report.name]) * count if measure else None,
+                    active=section.active if measure else None,
+                )
+            result.append(report)
+        return result

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 from . import effects
+from .channels import OUTPUTS
+from .checks import check_choice, input_error
 from .errors import Error
 from .passes.base import Buffer, Pass, Request
 from .passes.image import all_reads, all_writes, link_images
 from .views import ViewLayout
 
-__all__ = ["PassReport", "select", "verify"]
+__all__ = ["PassReport", "check_passes", "select", "verify", "with_passes"]
 
 #: Order of the scopes in a frame of several samples.
 ORDER = {"frame_start": 0, "sample": 1, "accumulate": 2, "average": 3, "frame_end": 4}
@@ -105,6 +108,38 @@ def _insert(entries: list[_Entry], entry: _Entry) -> None:
     entries.insert(place, entry)
 
 
+def check_passes(passes: Any, core: Sequence[type[Pass]]) -> tuple[Pass, ...]:
+    """Return a user's own passes as objects; a class is made without arguments.
+
+    Raises:
+        InputError: If one is no pass, bears a name that is taken, or names a pass that is not there to come after.
+    """
+    names = [kind.name for kind in core] + [effect.name for effect in effects.EFFECTS]
+    result: list[Pass] = []
+    for k, given in enumerate(passes):
+        label = f"Renderer.passes[{k}]"
+        stage = given() if isinstance(given, type) and issubclass(given, Pass) else given
+        if not isinstance(stage, Pass):
+            raise input_error(label, "a warp_deferred.Pass, or a class of them", given)
+        name = getattr(stage, "name", None)
+        if not isinstance(name, str) or not name.isidentifier() or name in names:
+            mend = f"taken are {', '.join(names)}"
+            raise input_error(f"{label}.name", "a name of its own, such as 'vignette'", name, mend)
+        check_choice(f"{label}.after", stage.after, names)
+        check_choice(f"{label}.image", stage.image, ("", "turn", "rewrite", "read"))
+        check_choice(f"{label}.scope", stage.scope, ("frame_start", "sample", "frame_end"))
+        names.append(name)
+        result.append(stage)
+    return tuple(result)
+
+
+def with_passes(request: Request, passes: tuple[Pass, ...], layout: ViewLayout) -> Request:
+    """Add a user's own passes to a request; the outputs they read are made as if they were asked for."""
+    request = dataclasses.replace(request, passes=passes)
+    read = {name for stage in passes for name in stage.bound(request, layout).reads() if name in OUTPUTS}
+    return dataclasses.replace(request, outputs=request.outputs | read, hidden=frozenset(read - request.outputs))
+
+
 def verify(stages: Sequence[Pass], outputs: frozenset[str]) -> None:
     """Check that every channel read or asked for is written, and by earlier passes that agree what it is.
 
@@ -136,7 +171,9 @@ def verify(stages: Sequence[Pass], outputs: frozenset[str]) -> None:
 
 def _unread(stage: Pass, what: str, later: list[Pass], known: Sequence[str] = ()) -> str:
     mend = "add the pass or ask for another output"
-    if later:
+    if later and ORDER[later[0].scope] > ORDER[stage.scope]:
+        mend = f"{later[0].name} writes it once all samples are taken: set scope = 'frame_end'"
+    elif later:
         mend = f"{later[0].name} writes it later: set after = {later[0].name!r}"
     elif known:
         mend += f"; written before it are {', '.join(known)}"

@@ -67,6 +67,7 @@ class Request:
         share_memory: Let buffers whose lives do not overlap share memory.
         lens: What the cameras' lenses call for.
         passes: The user's own passes, in order; compared as they compare themselves, by identity unless they say how.
+        hidden: Outputs that only those passes read: made, and not shown in frames.
     """
 
     outputs: frozenset[str]
@@ -82,6 +83,7 @@ class Request:
     share_memory: bool = True
     lens: Lens = Lens()
     passes: tuple[Pass, ...] = ()
+    hidden: frozenset[str] = frozenset()
 
     @property
     def lit(self) -> bool:
@@ -117,7 +119,7 @@ class Pass(abc.ABC):
     #: `accumulate` and `average` are the mechanism's own: last in each sample, and first after them.
     scope: ClassVar[Literal["frame_start", "sample", "accumulate", "average", "frame_end"]] = "sample"
     #: Name of the pass it comes after; read of a user's own passes only.
-    after: ClassVar[str] = "shade"
+    after: str = "shade"
     #: What the device array of `active` says, in words: "some pixel exceeds the threshold".
     active_if: ClassVar[str] = ""
 

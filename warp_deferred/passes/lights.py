@@ -16,6 +16,8 @@ class LightsPass(Pass):
 
     name = "lights"
     doc = "stage lights relative to each view"
+    # Samples move within the pixel, not the eye.
+    scope = "frame_start"
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""
