@@ -152,7 +152,8 @@ def verify(stages: Sequence[Pass], outputs: frozenset[str]) -> None:
             writers.setdefault(name, []).append(stage)
     written: dict[str, Buffer] = {}
     for stage in stages:
-        if stage.image in ("turn", "rewrite", "read") and not stage.source and stage.scope != "accumulate":
+        sums = stage.scope in ("accumulate", "average")
+        if stage.image in ("turn", "rewrite", "read") and not stage.source and not sums:
             raise Error(_unread(stage, "the image", []))
         for name in all_reads(stage):
             if name not in written:
