@@ -66,8 +66,15 @@ def _sampled(request: Request) -> Verdict:
     return Verdict(bool(rungs), ", ".join(rungs) or "no rung takes several samples a pixel")
 
 
+def _points(request: Request) -> Verdict:
+    count = request.features.bound_meshes
+    reason = f"{count} mesh{'es take' if count > 1 else ' takes'} points from arrays"
+    return Verdict(count > 0, reason if count else "no mesh takes its points from an array")
+
+
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
+    Effect("points", "", _points, quiet=True),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
     Effect("accumulate", "shade", _sampled, "sampling"),
