@@ -298,8 +298,10 @@ def as_float_array(name: str, value: object, device: wp.Device, *shapes: tuple[i
         *shapes: Shapes that will do.
 
     Raises:
-        InputError: If it holds other numbers or has another shape.
+        InputError: If it holds other numbers, has another shape, or cannot be seen without a copy through the host.
     """
+    if not isinstance(value, wp.array) and not hasattr(value, "__dlpack__"):
+        raise input_error(name, "a Warp array, or one with __dlpack__", type(value).__name__, "wrap it with wp.array")
     array = value if isinstance(value, wp.array) else wp.from_dlpack(value)
     number = getattr(array.dtype, "_wp_scalar_type_", array.dtype)
     if number is not wp.float32:
