@@ -129,7 +129,11 @@ def average_normals_kernel(
     total = wp.vec3d()
     for i in range(group[0], group[0] + group[1]):
         corner = load_vec4i(corners, i)
-        p0, p1, p2 = position_of(geometry, corner[0]), position_of(geometry, corner[1]), position_of(geometry, corner[2])
+        p0, p1, p2 = (
+            position_of(geometry, corner[0]),
+            position_of(geometry, corner[1]),
+            position_of(geometry, corner[2]),
+        )
         normal = cross_of(p0, p1, p2)
         length = wp.length(normal)
         if length > wp.float64(0.0):

@@ -47,7 +47,9 @@ class PointStore:
         first = 0
         for binding in scene.point_bindings:
             rows = [
-                np.stack([device_scene.first_vertex[id(m)] + np.arange(len(m.positions)), np.full(len(m.positions), k)], 1)
+                np.stack(
+                    [device_scene.first_vertex[id(m)] + np.arange(len(m.positions)), np.full(len(m.positions), k)], 1
+                )
                 for k, m in enumerate(binding.meshes, first)
             ]
             self._targets.append(self._put(np.concatenate(rows), wp.vec2i))

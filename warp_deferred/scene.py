@@ -354,9 +354,13 @@ class Scene:
         if key not in self._points:
             known = {id(instance.mesh) for instance in self._instances}
             if not bound or len(set(key)) != len(key) or not known.issuperset(key):
-                raise input_error("Scene.bind_points.meshes", "meshes of this scene, each once", meshes, "add them first")
+                raise input_error(
+                    "Scene.bind_points.meshes", "meshes of this scene, each once", meshes, "add them first"
+                )
             if not {mesh for other in self._points for mesh in other}.isdisjoint(key):
-                raise input_error("Scene.bind_points.meshes", "meshes that are bound alone or together as before", meshes)
+                raise input_error(
+                    "Scene.bind_points.meshes", "meshes that are bound alone or together as before", meshes
+                )
         if array is None:
             self.structure_revision += self._points.pop(key, None) is not None
             return

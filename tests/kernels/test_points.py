@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import warp as wp
 from builders import box, grid, sphere
+from warp_deferred.kernels import points as kernels
+from warp_deferred.kernels import structs
 
 import warp_deferred as wd
 from warp_deferred.clustering import cut_clusters
-from warp_deferred.kernels import points as kernels
-from warp_deferred.kernels import structs
 from warp_deferred.normals import smooth_normals
 
 #: The kernels work in float64 as the host does, so a rounding to float32 is all that may differ.
