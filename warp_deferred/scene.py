@@ -349,7 +349,7 @@ class Scene:
         Raises:
             InputError: If a mesh is not in the scene or is bound together with others, or the array does not fit.
         """
-        bound = (meshes,) if isinstance(meshes, Mesh) else tuple(meshes)
+        bound = (meshes,) if isinstance(meshes, Mesh) else tuple(meshes) if isinstance(meshes, Sequence) else ()
         key = tuple(id(mesh) for mesh in bound)
         if key not in self._points:
             known = {id(instance.mesh) for instance in self._instances}

@@ -383,7 +383,7 @@ def test_points_that_do_not_fit_are_refused(device):
         with pytest.raises(wd.InputError, match=r"Scene\.bind_points"):
             scene.bind_points(mesh, array)
     assert not scene.point_bindings
-    for meshes in (other, [], [mesh, mesh]):
+    for meshes in (other, [], [mesh, mesh], 5, None):
         with pytest.raises(wd.InputError, match="meshes of this scene"):
             scene.bind_points(meshes, as_vectors(np.zeros((count, 3)), device))
     scene.add(other)
