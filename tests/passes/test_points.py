@@ -347,8 +347,7 @@ def test_only_a_binding_calls_for_the_pass(device):
     renderer = renderer_of(scene, device)
     renderer.render()
     assert "points" not in [p.name for p in renderer.plan.passes] and "points" not in renderer.plan.memory
-    report = next(r for r in renderer.plan.reports(False) if r.name == "points")
-    assert not report.runs and report.reason == "no mesh takes its points from an array"
+    assert "points" not in [report.name for report in renderer.plan.reports(False)]
     mesh = scene.instances[1].mesh
     scene.bind_points(mesh, as_vectors(mesh.positions, device))
     renderer.render()
