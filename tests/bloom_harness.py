@@ -76,7 +76,8 @@ class Blooming:
         self.sizes = tuple(ViewSize(image.shape[1], image.shape[0]) for image in images)
         self.request = request_of(self.sizes, *changes, threads=threads, color=not half)
         self.layout = ViewLayout(self.sizes, 16)
-        self.stage = BloomPass(self.request, self.layout)
+        self.stage = BloomPass().bound(self.request, self.layout)
+        self.stage.source = "radiance" if half else "color"
         program = Program(wp.get_device(device), threads)
         scene = SimpleNamespace(device=wp.get_device(device))
         self.resources = Resources.make(scene, None, self.layout, program)

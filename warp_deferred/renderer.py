@@ -22,11 +22,12 @@ from .frame import Frame
 from .kernels import clusters as cluster_kernels
 from .light_store import LightStore
 from .memory import enough_memory
-from .passes.base import Lens, Request
-from .plan import Plan
+from .passes.base import Lens, Pass, Request
+from .plan import PASSES, Plan
 from .scene import Scene
+from .selection import check_passes, with_passes
 from .settings import Settings
-from .views import MAX_SIZE, ViewSize
+from .views import MAX_SIZE, ViewLayout, ViewSize
 
 __all__ = ["Renderer"]
 
@@ -52,9 +53,10 @@ class Renderer:
         threads: Host threads on the CPU; the number of cores if left out.
         share_memory: Let transient buffers share memory; False keeps each whole until the next frame, so that single
             passes can be looked at and timed by themselves.
+        passes: Passes of your own, objects or classes of `warp_deferred.Pass`, see docs/custom-pass.md.
 
     Raises:
-        InputError: If a size, an output or a setting does not fit.
+        InputError: If a size, an output, a setting or a pass does not fit.
         DeviceError: If the device is not there.
     """
 
@@ -69,6 +71,7 @@ class Renderer:
         settings: Settings | None = None,
         threads: int | None = None,
         share_memory: bool = True,
+        passes: Sequence[Pass | type[Pass]] = (),
     ) -> None:
         if not isinstance(scene, Scene):
             raise input_error(
@@ -92,6 +95,7 @@ class Renderer:
         wanted = cores if threads is None else check_count("Renderer.threads", threads, 1, 256)
         self._threads = 0 if self.device.is_cuda else wanted
         self._share_memory = bool(share_memory)
+        self._passes = check_passes(passes, PASSES)
         self._plans: dict[Request, Plan] = {}
         self._device_scene: DeviceScene | None = None
         self._lights: dict[tuple[int, int], LightStore] = {}
@@ -159,7 +163,7 @@ class Renderer:
         plan.replay()
         self._generation += 1
         generation = self._generation
-        return Frame(plan.outputs, cameras, lambda: self._generation == generation)
+        return Frame(plan.shown, cameras, lambda: self._generation == generation)
 
     def _write_views(self, plan: Plan, block: memoryview, cameras: list[Camera]) -> None:
         """Pack the cameras, or copy the last bytes where they are the same objects: fixed views cost a copy."""
@@ -176,7 +180,7 @@ class Renderer:
             cluster_kernels.stage_cameras_kernel,
             dim=count,
             inputs=[array],
-            outputs=[resources.frame.views],
+            outputs=[resources.frame.uploaded],
             device=self.device,
             block_dim=cluster_kernels.BLOCK_DIM,
         )
@@ -239,7 +243,7 @@ class Renderer:
         ranges = [scene.view_range(c.world) for c in cameras]
         instances = max(r[0] + r[2] for r in ranges)
         slots = max(r[3] + r[5] for r in ranges)
-        return Request(
+        request = Request(
             outputs=self.outputs,
             sizes=(ViewSize(self.width, self.height),) * len(cameras),
             settings=self.settings,
@@ -253,6 +257,7 @@ class Renderer:
             share_memory=self._share_memory,
             lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
+        return with_passes(request, self._passes, ViewLayout(request.sizes, 16)) if self._passes else request
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
         key = (request.features.light_capacity, len(request.sizes))
@@ -276,6 +281,8 @@ class Renderer:
         elif self._revision != scene.revision:
             device_scene.update_transforms(scene)
             self._revision = scene.revision
+        if device_scene.points is not None:
+            device_scene.points.stage(scene.point_bindings)
         if len(scene.lights):
             self._plan.resources.lights.update(scene.lights)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import reference
@@ -10,7 +13,7 @@ from bloom_harness import KEEP, Blooming, bloom_of, gaussians_of, request_of, sh
 from builders import Spy, gallery, grid, images
 
 import warp_deferred as wd
-from warp_deferred.passes.bloom import bloom_verdict
+from warp_deferred.effects import EFFECTS
 from warp_deferred.views import ViewSize
 
 RUNGS = ("neighbourhood", "mip_chain", "exact")
@@ -273,7 +276,6 @@ def test_half_radiance_gives_the_same_bits_as_what_it_holds(device):
     image = lamps(40, 26).astype(np.float16).astype(np.float32)
     for name in RUNGS:
         full, half = (Blooming([image], rung(name), half=h, device=device).run() for h in (False, True))
-        assert half.stage.half and not full.stage.half
         assert np.array_equal(full.level(), half.level())
 
 
@@ -297,6 +299,10 @@ def render(scene, *changes, device="cpu", camera=None, outputs=("display",), **f
     settings = wd.Settings().with_values(list(changes))
     renderer = wd.Renderer(scene, width=75, height=50, device=device, outputs=outputs, settings=settings, **fields)
     return renderer, images(renderer.render(camera or scene.camera))["display"].copy()
+
+
+def section_of(renderer):
+    return next(s for s in renderer.plan.resources.program.sections if s.name == "bloom")
 
 
 @pytest.mark.parametrize("name", RUNGS)
@@ -354,7 +360,8 @@ def test_a_frame_without_bright_pixels_is_the_frame_without_bloom(device):
     scene = glowing()
     renderer, lit = render(scene, device=device)
     _, lit_off = render(scene, rung("off"), device=device)
-    flag = renderer.plan.passes[-2].active(renderer.plan.resources)
+    section = section_of(renderer)
+    flag = section.condition
     assert flag.numpy()[0] == 1 and not np.array_equal(lit, lit_off)
     dim = scene.camera.replace(exposure=-6.0)
     _, dim_off = render(scene, rung("off"), camera=dim, device=device)
@@ -379,11 +386,12 @@ def test_nothing_stale_shows():
 
 def test_called_for_by_lens_and_settings():
     size = (ViewSize(8, 8),)
-    assert bloom_verdict(request_of(size)) == (True, "the lens has bloom")
-    assert bloom_verdict(request_of(size, lens=False)) == (False, "no camera's lens has bloom")
-    assert bloom_verdict(request_of(size, "bloom.rung=off")) == (False, "bloom.rung is off")
-    assert bloom_verdict(request_of(size, "bloom.when=always", "bloom.rung=off"))[0] is False
-    assert bloom_verdict(request_of(size, "bloom.when=always", lens=False))[0] is True
+    effect = next(e for e in EFFECTS if e.name == "bloom")
+    assert effect.verdict(request_of(size)) == (True, "a camera's lens has bloom")
+    assert effect.verdict(request_of(size, lens=False)) == (False, "no camera's lens has bloom")
+    assert effect.verdict(request_of(size, "bloom.rung=off")) == (False, "bloom.rung is off")
+    assert effect.verdict(request_of(size, "bloom.when=always", "bloom.rung=off"))[0] is False
+    assert effect.verdict(request_of(size, "bloom.when=always", lens=False))[0] is True
 
 
 def test_explain_says_why_not():
@@ -395,6 +403,83 @@ def test_explain_says_why_not():
     renderer = wd.Renderer(scene, width=8, height=8, device="cpu", outputs=("depth",))
     renderer.render(scene.camera.replace(bloom=0.5))
     assert "bloom" not in renderer.plan.resources.channels
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_a_skipped_pass_touches_nothing(name, device):
+    """Bloom's memory keeps what was put there while no pixel is bright, and the picture shows none of it."""
+    scene = glowing()
+    dim = scene.camera.replace(exposure=-6.0)
+    renderer, on = render(scene, rung(name), device=device, share_memory=False)
+    junk = renderer.plan.resources.channels["bloom"]
+    junk.fill_(7 if junk.dtype is wp.uint64 else 7.0)
+    before = junk.numpy().copy()
+    _, dim_off = render(scene, rung("off"), camera=dim, device=device)
+    assert np.array_equal(images(renderer.render(dim))["display"], dim_off)
+    assert np.array_equal(junk.numpy(), before)
+    assert np.array_equal(images(renderer.render(scene.camera))["display"], on)
+    assert not np.array_equal(junk.numpy(), before)
+    row = {r.name: r for r in renderer.explain().rows}["bloom"]
+    assert row.reason == "a camera's lens has bloom; active if some pixel exceeds the threshold" and row.active
+
+
+def test_samples_raise_the_flag_and_share_one_bloom(device):
+    """Any sample may raise the flag; bloom then works on the average, once a frame."""
+    scene = glowing()
+    sampled = ("anti_aliasing.rung=samples_4",)
+    renderer, on = render(scene, *sampled, device=device)
+    _, off = render(scene, *sampled, rung("off"), device=device)
+    assert section_of(renderer).condition.numpy()[0] == 1
+    assert not np.array_equal(on, off)
+    names = [s.name for s in renderer.plan.passes]
+    assert names.index("bloom") > names.index("average")
+    dim = scene.camera.replace(exposure=-6.0)
+    _, dim_off = render(scene, *sampled, rung("off"), camera=dim, device=device)
+    assert np.array_equal(images(renderer.render(dim))["display"], dim_off)
+
+
+@wp.kernel
+def brighten_kernel(
+    source: wp.array[wp.vec3],
+    out_image: wp.array[wp.vec3],
+):
+    i = wp.tid()
+    out_image[i] = source[i] * 64.0
+
+
+class BrightenPass(wd.Pass):
+    """Makes a dark picture bright behind shade's back."""
+
+    name = "brighten"
+    image = "turn"
+
+    def run(self, resources):
+        source, target = resources.channels[self.source], resources.channels[self.target]
+        resources.program.launch(brighten_kernel, source.size, [source], [target], block_dim=256)
+
+
+def test_bloom_sees_the_image_behind_the_users_own_passes(device):
+    scene = glowing()
+    dim = scene.camera.replace(exposure=-6.0)
+    renderer, on = render(scene, camera=dim, device=device, passes=[BrightenPass])
+    assert [s.name for s in renderer.plan.passes][-3:] == ["brighten", "bloom", "display"]
+    assert section_of(renderer).condition is None
+    _, expected = render(scene, "shade.radiance=float32", device=device)
+    assert np.array_equal(on, expected)
+
+
+def test_nothing_of_bloom_is_imported_before_a_lens_asks(tmp_path):
+    code = """
+import sys
+import warp_deferred as wd
+scene = wd.load("lambert_plane")
+wd.Renderer(scene, width=8, height=8, device="cpu").render()
+assert not [n for n in sys.modules if "bloom" in n], [n for n in sys.modules if "bloom" in n]
+wd.Renderer(scene, width=8, height=8, device="cpu").render(scene.camera.replace(bloom=0.1))
+assert [n for n in sys.modules if n.startswith("warp_deferred") and "bloom" in n]
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 def test_what_is_not_called_for_is_not_there(device):

@@ -15,8 +15,9 @@ from ..resources import Resources
 from ..settings import Settings
 from ..views import ViewLayout, ViewSize, block_grid, table_array
 from .base import Buffer, Pass, Request
+from .image import float_image, image_bytes, make_image
 
-__all__ = ["BloomPass", "Pyramid", "bloom_verdict", "bright_level", "level_count", "make_bloom", "spread", "weights"]
+__all__ = ["BloomPass", "Pyramid", "bright_level", "level_count", "make_bloom", "spread", "weights"]
 
 #: A level more than any picture has pixels for would be one texel of everything, like the one before.
 MAX_LEVELS = 14
@@ -24,22 +25,15 @@ MAX_LEVELS = 14
 ROUNDING = 1.0 - 2.0**-10
 
 
-def bloom_verdict(request: Request) -> tuple[bool, str]:
-    """Whether bloom is called for, and why or why not."""
-    settings = request.settings.bloom
-    if settings.rung == "off":
-        return False, "bloom.rung is off"
-    if request.lens.bloom:
-        return True, "the lens has bloom"
-    if settings.when == "always":
-        return True, "bloom.when is always (no camera's lens has bloom)"
-    return False, "no camera's lens has bloom"
-
-
 def bright_level(request: Request) -> float | None:
-    """Exposed radiance above which shade says that bloom has work; None where it need not, or cannot, say."""
+    """Exposed radiance above which shade says that bloom has work; None where it need not, or cannot, say.
+
+    Samples and blurs average what shade wrote, so their pixels are above it only where shade's are; a user's own pass
+    may write anything.
+    """
     settings = request.settings.bloom
-    if not bloom_verdict(request)[0] or "display" not in request.outputs or settings.threshold == 0.0:
+    changed = any(stage.image in ("turn", "rewrite") for stage in request.passes)
+    if changed or "display" not in request.outputs or settings.threshold == 0.0:
         return None
     return settings.threshold * (1.0 - settings.knee) * ROUNDING
 
@@ -142,13 +136,9 @@ class BloomPass(Pass):
 
     name = "bloom"
     doc = "scatter light around what is bright"
-    #: What the device array of `active` says, in words.
+    image = "read"
+    scope = "frame_end"
     active_if = "some pixel exceeds the threshold"
-
-    def called_for(self) -> str | None:
-        """A lens that scatters, or the setting."""
-        runs, reason = bloom_verdict(self.request)
-        return reason if runs else None
 
     def active(self, resources: Resources) -> wp.array | None:
         """Shade's flag; display tests it too, so that nothing stale shows where the pass was skipped."""
@@ -159,20 +149,9 @@ class BloomPass(Pass):
         return self.request.settings.bloom.rung
 
     @property
-    def half(self) -> bool:
-        """Whether it reads half radiance."""
-        from .shade import ShadePass
-
-        return not ShadePass(self.request, self.layout).float_color
-
-    @property
     def pyramid(self) -> Pyramid:
         """Levels of all views."""
         return _pyramid(self.layout.sizes, self.request.settings)
-
-    def reads(self) -> tuple[str, ...]:
-        """Radiance."""
-        return ("radiance" if self.half else "color",)
 
     def writes(self) -> dict[str, Buffer]:
         """Bloom, and what only this pass sees."""
@@ -186,15 +165,15 @@ class BloomPass(Pass):
         """Fetch the kernels, upload the tables."""
         settings, device = self.request.settings.bloom, resources.device
         self.bloom = make_bloom(resources, self.request, self.layout)
-        self.radiance = resources.channel("radiance" if self.half else "", wp.uint64)
-        self.color = resources.channel("" if self.half else "color", wp.vec3)
+        image = make_image(resources, self.request, self.source)
+        self.radiance, self.color = image.half, image.full
         if settings.rung == "exact":
             self._prepare_exact(device)
             return
         from ..kernels import bloom as kernels
 
         self.kernels = kernels
-        self.bright = kernels.make_bright_kernel(self.half, settings.fireflies > 0.0)
+        self.bright = kernels.make_bright_kernel(not float_image(self.request), settings.fireflies > 0.0)
         self.down = [table_array(t, device) for t in self.pyramid.down]
         self.up = [table_array(t, device) for t in self.pyramid.up]
 
@@ -221,7 +200,7 @@ class BloomPass(Pass):
         self.gaussians = wp.array(rows.reshape(-1), dtype=kernels.Gaussian, device=device)
         self.weights = wp.array(np.concatenate([*tables, [0.0]]), dtype=wp.float32, device=device)
         self.kernels = kernels
-        self.bright = kernels.make_bright_pixels_kernel(self.half)
+        self.bright = kernels.make_bright_pixels_kernel(not float_image(self.request))
 
     def run(self, resources: Resources) -> None:
         """Bright parts, then down and up the pyramid, or the window, or one Gaussian after the other."""
@@ -272,7 +251,7 @@ class BloomPass(Pass):
 
     def bytes_moved(self) -> int:
         """Radiance in; each level down and up once, or each Gaussian's rows and columns."""
-        pixels, image = self.layout.pixels, 8 if self.half else 12
+        pixels, image = self.layout.pixels, image_bytes(self.request)
         if self.rung() == "exact":
             most = max(
                 (level_count(s.height, self.request.settings.bloom.radius) for s in self.layout.sizes), default=0

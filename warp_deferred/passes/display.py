@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warp as wp
 
+from ..effects import called_for
 from ..kernels import color as color_kernels
 from ..kernels import display as kernels
 from ..kernels import structs
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
-from .bloom import bloom_verdict, make_bloom
-from .shade import ShadePass
+from .image import float_image, image_bytes, make_image
 
 __all__ = ["DisplayPass"]
 
@@ -21,6 +21,8 @@ class DisplayPass(Pass):
 
     name = "display"
     doc = "expose, tone map and encode"
+    image = "read"
+    scope = "frame_end"
 
     def called_for(self) -> str | None:
         """Only for its own output."""
@@ -31,18 +33,13 @@ class DisplayPass(Pass):
         return self.request.settings.display.tone_mapping
 
     @property
-    def half(self) -> bool:
-        """Whether it reads half radiance."""
-        return not ShadePass(self.request, self.layout).float_color
-
-    @property
     def blooms(self) -> bool:
         """Whether bloom is in the plan."""
-        return bloom_verdict(self.request)[0]
+        return called_for(self.request, "bloom")
 
     def reads(self) -> tuple[str, ...]:
-        """Radiance, and bloom where there is some."""
-        return ("radiance" if self.half else "color", *(("bloom",) if self.blooms else ()))
+        """Bloom where there is some."""
+        return ("bloom",) * self.blooms
 
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
@@ -52,15 +49,17 @@ class DisplayPass(Pass):
         """Fetch the kernel, upload the thresholds."""
         self.bloom, kind = structs.Bloom(), ""
         if self.blooms:
+            from .bloom import make_bloom
+
             self.bloom = make_bloom(resources, self.request, self.layout)
             kind = "full" if self.request.settings.bloom.rung == "exact" else "levels"
-        self.kernel = kernels.make_display_kernel(self.rung(), self.half, kind)
+        self.kernel = kernels.make_display_kernel(self.rung(), not float_image(self.request), kind)
         self.thresholds = wp.array(color_kernels.srgb_thresholds(), dtype=wp.float32, device=resources.device)
 
     def run(self, resources: Resources) -> None:
         """One launch."""
-        radiance, color = resources.channel("radiance", wp.uint64), resources.channel("color", wp.vec3)
-        inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, self.bloom, FIRST]
+        image = make_image(resources, self.request, self.source)
+        inputs = [resources.frame.views, resources.blocks, image.half, image.full, self.thresholds, self.bloom, FIRST]
         resources.program.launch(
             self.kernel,
             len(self.layout.blocks) * 64,
@@ -73,4 +72,4 @@ class DisplayPass(Pass):
     def bytes_moved(self) -> int:
         """Radiance and bloom in, bytes out."""
         bloom = (12 if self.request.settings.bloom.rung == "exact" else 2) if self.blooms else 0
-        return self.layout.pixels * ((8 if self.half else 12) + bloom + 4)
+        return self.layout.pixels * (image_bytes(self.request) + bloom + 4)
