@@ -75,6 +75,8 @@ def _points(request: Request) -> Verdict:
 
 
 def _bloom(request: Request) -> Verdict:
+    if "display" not in request.outputs:
+        return Verdict(False, "display was not asked for")
     return Verdict(request.lens.bloom, f"{'a' if request.lens.bloom else 'no'} camera's lens has bloom")
 
 

@@ -88,7 +88,7 @@ def _frame(request: Request, layout: ViewLayout, core: Sequence[type[Pass]]) -> 
         stage = effect.load()().bound(request, layout) if verdict.runs else None
         entry = _Entry(effect.name, verdict.reason, stage, effect.after, quiet=effect.quiet)
         if effect.before:
-            place = next(k for k, e in enumerate(entries) if e.name == effect.before)
+            place = next((k for k, e in enumerate(entries) if e.name == effect.before), len(entries))
             entries.insert(place, dataclasses.replace(entry, after=None))
         else:
             _insert(entries, entry)
