@@ -201,6 +201,7 @@ class DeviceScene:
             pairs[:, 0], pairs[:, 1] = place, self._first_cluster[id(mesh)] + np.arange(len(cut.first))
             slots.append(pairs)
             slot_count += len(pairs)
+        self._boxes = np.stack([table["bounds_low"], table["bounds_high"]], axis=1).astype(np.float64)
         self.instance_count = len(instances)
         self.cluster_slots = slot_count
         self.triangle_count = sum(len(i.mesh.triangles) for i in instances)
@@ -230,6 +231,17 @@ class DeviceScene:
             return (self.instance_count, 0, 0, self.cluster_slots, 0, 0)
         first, count, slot, slots = self._world_ranges.get(world, (0, 0, 0, 0))
         return (shared, first, count, shared_slots, slot, slots)
+
+    def extent(self) -> float:
+        """Diagonal of the box around all instances [m] as the host's transforms placed them last; 0 for no triangle."""
+        table = self._transform_table[: self.instance_count]
+        middle, half = self._boxes.mean(axis=1), np.ptp(self._boxes, axis=1) / 2.0
+        linear = table["linear"].reshape(-1, 3, 3).astype(np.float64)
+        middle = np.einsum("nij,nj->ni", linear, middle) + table["origin"]
+        half = np.einsum("nij,nj->ni", np.abs(linear), half)
+        if not len(middle):
+            return 0.0
+        return float(np.linalg.norm((middle + half).max(axis=0) - (middle - half).min(axis=0)))
 
     def update_transforms(self, scene: Scene) -> None:
         """Upload the host's transforms, mesh origins folded in; float64 origins, float32 linear parts."""

@@ -17,6 +17,7 @@ from .device_scene import DeviceScene
 from .errors import CapacityError, Error
 from .light_store import LightStore
 from .memory import enough_memory
+from .passes.ambient_visibility import AmbientVisibilityPass, why_not
 from .passes.base import Buffer, Pass, Request
 from .passes.clusters import ClustersPass
 from .passes.display import DisplayPass
@@ -33,7 +34,7 @@ __all__ = ["PASSES", "PassReport", "Plan"]
 
 #: Every pass, in frame order.
 PASSES: tuple[type[Pass], ...] = (
-    ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
+    ClustersPass, RasterPass, ResolvePass, AmbientVisibilityPass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
 )  # fmt: skip
 ALIGNMENT = 256
 #: Elements of one device array.
@@ -117,6 +118,8 @@ class Plan:
             return "no output asked for reads what it writes"
         if stage.name in ("lights", "light_culling"):
             return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
+        if stage.name == "ambient_visibility":
+            return why_not(self.request)
         if stage.name == "clusters":
             return "the scene has no triangles"
         return "no output asked for needs it"

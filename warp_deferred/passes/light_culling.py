@@ -10,7 +10,7 @@ from ..kernels import structs
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
-from .resolve import needs_gbuffer
+from .resolve import is_lit
 
 __all__ = ["LightCullingPass", "make_masks"]
 
@@ -41,7 +41,7 @@ class LightCullingPass(Pass):
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""
-        if self.request.features.kinds and needs_gbuffer(self.request):
+        if self.request.features.kinds and is_lit(self.request):
             return "the scene has lights"
         return None
 

@@ -6,7 +6,7 @@ from ..kernels import lights as kernels
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
-from .resolve import needs_gbuffer
+from .resolve import is_lit
 
 __all__ = ["LightsPass"]
 
@@ -19,7 +19,7 @@ class LightsPass(Pass):
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""
-        if self.request.features.kinds and needs_gbuffer(self.request):
+        if self.request.features.kinds and is_lit(self.request):
             infinite = self.request.features.infinite_lights
             return "the scene has lights" + (f" ({infinite} without a range, in every tile)" if infinite else "")
         return None

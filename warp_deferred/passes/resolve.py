@@ -11,7 +11,7 @@ from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass, Request
 
-__all__ = ["ResolvePass", "gbuffer_buffers", "gbuffer_codec", "make_gbuffer", "needs_gbuffer"]
+__all__ = ["ResolvePass", "gbuffer_buffers", "gbuffer_codec", "is_lit", "make_gbuffer", "needs_gbuffer"]
 
 LAYER_TYPES = {
     "normal": wp.vec3, "position": wp.vec3, "albedo": wp.vec3, "alpha": wp.float32, "instance_id": wp.int32,
@@ -24,9 +24,14 @@ GBUFFER_FIELDS = {
 }  # fmt: skip
 
 
-def needs_gbuffer(request: Request) -> bool:
+def is_lit(request: Request) -> bool:
     """Whether some output is lit."""
     return any(name in request.outputs for name in LIT_OUTPUTS)
+
+
+def needs_gbuffer(request: Request) -> bool:
+    """Whether some pass reads the G-buffer: lighting, or what looks at surfaces by itself."""
+    return is_lit(request) or "ambient_visibility" in request.outputs
 
 
 def gbuffer_codec(request: Request) -> tuple[str, str, bool]:
@@ -75,8 +80,10 @@ class ResolvePass(Pass):
 
     def called_for(self) -> str | None:
         """Some output shows a surface."""
-        if needs_gbuffer(self.request):
+        if is_lit(self.request):
             return "an output is lit"
+        if needs_gbuffer(self.request):
+            return "ambient visibility looks at surfaces"
         names = [n for n in (*LAYER_NAMES, "depth") if n in self.request.outputs]
         return f"{', '.join(names)} asked for" if names else None
 

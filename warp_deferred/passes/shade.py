@@ -7,6 +7,7 @@ import warp as wp
 from ..kernels import shade as kernels
 from ..program import FIRST
 from ..resources import Resources
+from .ambient_visibility import ambient_visibility_reason
 from .base import Buffer, Pass
 from .light_culling import make_masks
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
@@ -48,6 +49,8 @@ class ShadePass(Pass):
             names.append("emission")
         if self.request.features.kinds:
             names += ["mask_words", "mask_summary", "staged_lights"]
+        if ambient_visibility_reason(self.request):
+            names.append("ambient_visibility")
         return tuple(names)
 
     def writes(self) -> dict[str, Buffer]:
@@ -67,6 +70,7 @@ class ShadePass(Pass):
             features.polynomial,
             features.emissive,
             outputs,
+            "ambient_visibility" in self.reads(),
         )
         self.gbuffer = make_gbuffer(resources)
         self.masks = make_masks(resources, features.light_capacity)
@@ -84,6 +88,7 @@ class ShadePass(Pass):
             resources.blocks,
             self.gbuffer,
             emission,
+            resources.channel("ambient_visibility", wp.float32),
             resources.lights.staged,
             self.masks,
             FIRST,
@@ -97,5 +102,6 @@ class ShadePass(Pass):
         read = 4 + sum(
             wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
         )
+        read += 4 * ("ambient_visibility" in self.reads())
         written = sum(wp.types.type_size_in_bytes(b.dtype) for b in self.writes().values())
         return self.layout.pixels * (read + written) if needs_gbuffer(self.request) else 0
