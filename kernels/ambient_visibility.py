@@ -144,6 +144,36 @@ def point_in_view(view: View, px: wp.float32, py: wp.float32, depth: wp.float32,
     return wp.vec3(x * depth, y * depth, -depth)
 
 
+@wp.func
+def sample_level(x: wp.float32, y: wp.float32):
+    """Level to fetch from at an offset [px]: 0 nearer than 16 px, then one more each time the distance doubles."""
+    exponent = wp.int32(float_bits(wp.max(wp.abs(x), wp.abs(y))) >> wp.uint32(23))
+    return wp.clamp(exponent - 130, 0, LEVELS)
+
+
+@wp.func
+def fetch_point(
+    view: View,
+    depth: wp.array[wp.float32],
+    pyramid: wp.array[wp.float32],
+    inverse: wp.vec2,
+    x: wp.int32,
+    y: wp.int32,
+    level: wp.int32,
+):
+    """View-space point [m] on the surface at, or on a smaller level near, pixel (x, y); not finite where none is."""
+    z = wp.float32(0.0)
+    px, py = wp.int32(x), wp.int32(y)
+    if level == 0:
+        z = depth[pixel_index(view, x, y)]
+    else:
+        z = pyramid[pyramid_index(view, level, x, y)]
+        half = 1 << (level - 1)
+        px = ((x >> level) << level) + half
+        py = ((y >> level) << level) + half
+    return point_in_view(view, wp.float32(px) + 0.5, wp.float32(py) + 0.5, z, inverse)
+
+
 @wp.struct
 class Gather:
     """A pixel's surface and what its samples are measured by."""
@@ -175,16 +205,7 @@ def sample_horizon(
     # Compared as floats: offsets may exceed any integer.
     if not (fx >= 0.0 and fy >= 0.0 and fx < wp.float32(view.width) and fy < wp.float32(view.height)):
         return highest
-    x, y = wp.int32(fx), wp.int32(fy)
-    z = wp.float32(0.0)
-    if level == 0:
-        z = depth[pixel_index(view, x, y)]
-    else:
-        z = pyramid[pyramid_index(view, level, x, y)]
-        half = 1 << (level - 1)
-        x = ((x >> level) << level) + half
-        y = ((y >> level) << level) + half
-    d = point_in_view(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, z, g.inverse) - g.point
+    d = fetch_point(view, depth, pyramid, g.inverse, wp.int32(fx), wp.int32(fy), level) - g.point
     square = wp.dot(d, d)
     # Also false for the background and whatever is not finite.
     if square < g.radius2:
@@ -245,9 +266,7 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
                 share = share * (0.4 + 0.6 * share) + nearest
                 x = row[0] * view.scale[0] * (reach * share)
                 y = row[1] * view.scale[1] * (reach * share)
-                # Whole powers of two: level 1 from 16 px on, level 2 from 32.
-                exponent = wp.int32(float_bits(wp.max(wp.abs(x), wp.abs(y))) >> wp.uint32(23))
-                level = wp.clamp(exponent - 130, 0, LEVELS)
+                level = sample_level(x, y)
                 c1 = sample_horizon(view, depth, pyramid, g, x, y, level, -sine, c1)
                 c0 = sample_horizon(view, depth, pyramid, g, -x, -y, level, sine, c0)
             q1, q0, q = wp.max(1.0 - c1 * c1, 0.0), wp.max(1.0 - c0 * c0, 0.0), wp.max(1.0 - sine * sine, 0.0)

@@ -19,11 +19,12 @@ class AmbientVisibilitySettings(Record):
     """How much of the constant ambient light each surface point sees.
 
     All rungs estimate the same number: the cosine-weighted share of the hemisphere in which nothing stands nearer than
-    the radius.
+    the radius. Those below `ray_traced` know only the depths in the picture.
     """
 
-    rung: Literal["off", "gtao_half", "gtao"] = "gtao"
-    """gtao: horizons in depth; gtao_half: at half size."""
+    rung: Literal["off", "ssao", "gtao_half", "gtao", "ray_traced"] = "gtao"
+    """ssao: points around the surface tested against depth; gtao: horizons in depth, gtao_half at half size;
+    ray_traced: rays against all triangles (reference)."""
     when: Literal["called_for", "always"] = "called_for"
     """called_for: where ambient light is not zero; always: wherever something is lit."""
     radius_m: float | None = Field(None, ge=0.0)
@@ -35,3 +36,9 @@ class AmbientVisibilitySettings(Record):
     """gtao: planes through the line of sight in which horizons are searched; time grows in proportion."""
     steps: int = Field(3, ge=1, le=8)
     """gtao: depths looked at on each side of a slice; time grows in proportion."""
+    samples: int = Field(16, ge=1, le=64)
+    """ssao: points tested a pixel; time grows in proportion."""
+    rays: int = Field(256, ge=1, le=65536)
+    """ray_traced: rays a pixel; time grows in proportion, the error falls with it."""
+    bias: float = Field(0.01, ge=0.0, le=0.5)
+    """ssao and ray_traced: how far tests start above the surface, as a share of the radius."""

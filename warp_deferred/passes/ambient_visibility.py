@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import warp as wp
 
 from ..kernels import ambient_visibility as gtao
+from ..kernels import ambient_visibility_ssao as ssao
+from ..kernels import ambient_visibility_traced as traced
 from ..kernels import bilateral, depth_pyramid
 from ..program import FIRST
 from ..resources import Resources
+from ..world_mesh import WorldMesh
 from .base import Buffer, Pass, Request
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
 
@@ -15,6 +19,8 @@ __all__ = ["AmbientVisibilityPass", "ambient_visibility_reason", "why_not"]
 
 #: Outputs that ambient light is part of.
 AMBIENT_OUTPUTS = ("color", "display")
+#: Beyond it the squared radius would leave float32 [m].
+LARGEST_RADIUS = 1e18
 
 
 def ambient_visibility_reason(request: Request) -> str | None:
@@ -46,11 +52,6 @@ class AmbientVisibilityPass(Pass):
     name = "ambient_visibility"
     doc = "find how much ambient light each surface sees"
 
-    @property
-    def half(self) -> bool:
-        """Whether horizons are searched at half size."""
-        return self.rung() == "gtao_half"
-
     def called_for(self) -> str | None:
         """Ambient light, or the output asked for."""
         return ambient_visibility_reason(self.request)
@@ -66,27 +67,48 @@ class AmbientVisibilityPass(Pass):
     def writes(self) -> dict[str, Buffer]:
         """Visibility, and what its making needs: the depth pyramid, words before and after the first blur."""
         pixels = max(self.layout.pixels, 1)
-        bins = max(len(self.layout.bin_tiles), 1)
-        words = bins * 64 if self.half else pixels
-        return {
-            "visibility_pyramid": Buffer(wp.float32, bins * depth_pyramid.BIN_WORDS),
-            "visibility_words": Buffer(wp.uint32, words),
-            "visibility_rows": Buffer(wp.uint32, words),
-            "ambient_visibility": Buffer(wp.float32, pixels),
-        }
+        result = {"ambient_visibility": Buffer(wp.float32, pixels)}
+        if self.rung() != "ray_traced":
+            bins = max(len(self.layout.bin_tiles), 1)
+            words = bins * 64 if self.half else pixels
+            result |= {
+                "visibility_pyramid": Buffer(wp.float32, bins * depth_pyramid.BIN_WORDS),
+                "visibility_words": Buffer(wp.uint32, words),
+                "visibility_rows": Buffer(wp.uint32, words),
+            }
+        return result
+
+    @property
+    def half(self) -> bool:
+        """Whether horizons are searched at half size."""
+        return self.rung() == "gtao_half"
 
     def prepare(self, resources: Resources) -> None:
-        """Fetch the kernels, upload the pattern."""
+        """Fetch the kernels, upload patterns; for the reference rung build the world's triangles and their BVH."""
         settings, codec = self.request.settings.ambient_visibility, gbuffer_codec(self.request)
-        self.radius = resources.scene.extent() / 20.0 if settings.radius_m is None else settings.radius_m
+        low, high = resources.scene.box()
+        radius = float(np.linalg.norm(high - low)) / 20.0 if settings.radius_m is None else settings.radius_m
+        self.radius = min(radius, LARGEST_RADIUS)
         self.gbuffer = make_gbuffer(resources)
-        self.gather = gtao.make_ambient_visibility_kernel(codec, settings.slices, settings.steps, self.half)
+        if self.rung() == "ray_traced":
+            self.world = WorldMesh(resources.scene)
+            self.gather = traced.make_ambient_visibility_traced_kernel(codec, self.world.grouped)
+            table = traced.cosine_directions(settings.rays)
+        elif self.rung() == "ssao":
+            self.gather = ssao.make_ambient_visibility_ssao_kernel(codec)
+            table = ssao.hemisphere_points(settings.samples)
+        else:
+            self.gather = gtao.make_ambient_visibility_kernel(codec, settings.slices, settings.steps, self.half)
+            table = gtao.slice_pattern(settings.slices)
         if self.half:
             self.upsample = bilateral.make_upsample_kernel(codec)
-        self.pattern = wp.array(gtao.slice_pattern(settings.slices), dtype=wp.vec4, device=resources.device)
+        self.table = wp.array(table, dtype=wp.vec4, device=resources.device)
 
     def run(self, resources: Resources) -> None:
-        """Pyramid, horizons, blur along rows, blur along columns, and up to full size."""
+        """Rays; or pyramid, gathering, blur along rows and columns, and up to full size."""
+        if self.rung() == "ray_traced":
+            self._trace(resources)
+            return
         program, views, channels = resources.program, resources.frame.views, resources.channels
         pyramid, words, rows = (channels[f"visibility_{n}"] for n in ("pyramid", "words", "rows"))
         final, power = channels["ambient_visibility"], self.request.settings.ambient_visibility.power
@@ -97,26 +119,39 @@ class AmbientVisibilityPass(Pass):
             depth_pyramid.fill_pyramid_kernel, over_bins, [views, resources.bin_tiles, channels["depth"], FIRST],
             [pyramid], block_dim=depth_pyramid.BLOCK_DIM, band=64,
         )  # fmt: skip
-        program.launch(
-            self.gather, threads, [views, tiles, self.gbuffer, pyramid, self.pattern, self.radius, FIRST], [words],
-            block_dim=gtao.BLOCK_DIM, band=64,
-        )  # fmt: skip
-        blur, block = bilateral.blur_words_kernel, bilateral.BLOCK_DIM
-        half = int(self.half)
-        program.launch(
-            blur, threads, [views, tiles, words, self.radius, 0, half, FIRST], [rows], block_dim=block, band=64
-        )
+        inputs = [views, tiles, self.gbuffer, pyramid, self.table, *self._gather_parameters(), FIRST]
+        program.launch(self.gather, threads, inputs, [words], block_dim=gtao.BLOCK_DIM, band=64)
+        blur, block, half = bilateral.blur_words_kernel, bilateral.BLOCK_DIM, int(self.half)
+        inputs = [views, tiles, words, self.radius, 0, half, FIRST]
+        program.launch(blur, threads, inputs, [rows], block_dim=block, band=64)
         if not self.half:
             inputs = [views, resources.blocks, rows, self.radius, power, FIRST]
             program.launch(bilateral.blur_final_kernel, over_blocks, inputs, [final], block_dim=block, band=64)
             return
-        program.launch(
-            blur, threads, [views, tiles, rows, self.radius, 1, half, FIRST], [words], block_dim=block, band=64
-        )
+        inputs = [views, tiles, rows, self.radius, 1, half, FIRST]
+        program.launch(blur, threads, inputs, [words], block_dim=block, band=64)
         inputs = [views, resources.blocks, self.gbuffer, words, self.radius, power, FIRST]
         program.launch(self.upsample, over_blocks, inputs, [final], block_dim=block, band=64)
 
+    def _gather_parameters(self) -> list[float]:
+        settings = self.request.settings.ambient_visibility
+        return [settings.samples, self.radius, settings.bias] if self.rung() == "ssao" else [self.radius]
+
+    def _trace(self, resources: Resources) -> None:
+        settings = self.request.settings.ambient_visibility
+        self.world.add_update(resources.program)
+        inputs = [
+            resources.frame.views, resources.blocks, wp.uint64(self.world.id), self.world.anchor, self.gbuffer,
+            self.table, self.radius, settings.bias, settings.power, FIRST,
+        ]  # fmt: skip
+        resources.program.launch(
+            self.gather, len(self.layout.blocks) * 64, inputs, [resources.channels["ambient_visibility"]],
+            block_dim=traced.BLOCK_DIM, band=64,
+        )  # fmt: skip
+
     def bytes_moved(self) -> int:
-        """Depth and normals in, pyramid, words twice each way, visibility out."""
-        share = 0.25 if self.half else 1.0
-        return int(self.layout.pixels * (4 + 1.33 + share * (8 + 4 + 8 + 4) + 4 + (12 if self.half else 0)))
+        """Depth and normals in, visibility out; between them the pyramid and, three times each way, words."""
+        if self.rung() == "ray_traced":
+            return self.layout.pixels * 12
+        words = (4 + 24 + 12) * 0.25 + 8 if self.half else 4 + 16
+        return int(self.layout.pixels * (4 + 1.33 + words + 4))
