@@ -7,6 +7,11 @@ lies from the line through the pixel, whose slope is the smaller of the two diff
 the line, 0 at the tolerance. The tolerance is a share of the radius, since visibility varies over lengths of the
 radius.
 
+Where the radius covers many pixels, samples lie far apart and thin things leave streaks. There a wide blur follows,
+with the same weights for every third pixel, which again meets all of the 4 x 4 pattern alike (3 and 4 have no common
+factor). It counts a neighbour less the more its visibility differs, so that streaks go and the dark foot of a small
+thing stays.
+
 **Upsampling.** A pixel takes the bilinear weights of its up to four half-size neighbours times how near their points
 lie to the plane through its point across its normal (after Kopf et al. 2007, "Joint Bilateral Upsampling").
 
@@ -29,6 +34,10 @@ from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, PIXEL_BLOCK_AREA, GBuffer, Vi
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
+#: Radius on the screen from which a wide blur follows the narrow one [px]: twice its own footprint.
+WIDE_PX = wp.constant(26.0)
+#: A wide blur counts nothing whose visibility lies 1 / 8 away.
+SHARP = wp.constant(8.0)
 #: Distance from the line or plane, as a share of the radius, at which a neighbour no longer counts.
 TOLERANCE = wp.constant(0.15)
 #: What a neighbour counts for that lies on another surface: it decides only where all do.
@@ -69,13 +78,25 @@ def smaller_slope(before: wp.float32, after: wp.float32):
 
 
 @wp.func
-def add_neighbour(sums: wp.vec2, word: wp.uint32, line: wp.float32, tolerance: wp.float32, share: wp.float32):
-    """(weighted visibility, weight) after one more neighbour; `line` is the affine depth a flat surface would have."""
+def add_neighbour(
+    sums: wp.vec2,
+    word: wp.uint32,
+    line: wp.float32,
+    tolerance: wp.float32,
+    share: wp.float32,
+    own: wp.float32,
+    sharp: wp.float32,
+):
+    """(weighted visibility, weight) after one more neighbour; `line` is the affine depth a flat surface would have.
+
+    A neighbour counts nothing where its visibility lies 1 / sharp or more from the pixel's `own`; sharp 0: always.
+    """
     apart = wp.abs(word_depth(word) - line)
     # Also false for the background.
     if apart < tolerance:
-        weight = share * (1.0 - apart / tolerance)
-        return sums + wp.vec2(weight * word_visibility(word), weight)
+        v = word_visibility(word)
+        weight = share * (1.0 - apart / tolerance) * wp.max(1.0 - sharp * wp.abs(v - own), 0.0)
+        return sums + wp.vec2(weight * v, weight)
     return sums
 
 
@@ -84,35 +105,50 @@ def blurred(
     view: View,
     words: wp.array[wp.uint32],
     i: wp.int32,
-    stride: wp.int32,
+    pitch: wp.int32,
     at: wp.int32,
     count: wp.int32,
+    step: wp.int32,
     radius: wp.float32,
 ):
-    """Visibility averaged along a line of pixels, `stride` words apart; pixel `at` of `count` is word i."""
+    """Visibility averaged along a line of pixels, `pitch` words apart; word i is the at-th of count.
+
+    Every step-th pixel is met; from a step above 1 on, visibility has to be like the pixel's own.
+    """
     centre = words[i]
     a = word_depth(centre)
     # Outside the image stands the background, which counts for nothing.
     b2, b1, f1, f2 = OPEN_WORD, OPEN_WORD, OPEN_WORD, OPEN_WORD
-    if at >= 1:
+    stride = step * pitch
+    if at >= step:
         b1 = words[i - stride]
-    if at >= 2:
+    if at >= 2 * step:
         b2 = words[i - 2 * stride]
-    if at + 1 < count:
+    if at + step < count:
         f1 = words[i + stride]
-    if at + 2 < count:
+    if at + 2 * step < count:
         f2 = words[i + 2 * stride]
     slope = smaller_slope(a - word_depth(b1), word_depth(f1) - a)
     tolerance = TOLERANCE * radius
     if view.projection != ORTHOGRAPHIC:
         # d(1/z) = dz / z^2.
         tolerance = tolerance * a * a
-    sums = wp.vec2(word_visibility(centre), 1.0)
-    sums = add_neighbour(sums, b2, a - 2.0 * slope, tolerance, 0.5)
-    sums = add_neighbour(sums, b1, a - slope, tolerance, 1.0)
-    sums = add_neighbour(sums, f1, a + slope, tolerance, 1.0)
-    sums = add_neighbour(sums, f2, a + 2.0 * slope, tolerance, 0.5)
+    v = word_visibility(centre)
+    sharp = wp.where(step > 1, SHARP, 0.0)
+    sums = wp.vec2(v, 1.0)
+    sums = add_neighbour(sums, b2, a - 2.0 * slope, tolerance, 0.5, v, sharp)
+    sums = add_neighbour(sums, b1, a - slope, tolerance, 1.0, v, sharp)
+    sums = add_neighbour(sums, f1, a + slope, tolerance, 1.0, v, sharp)
+    sums = add_neighbour(sums, f2, a + 2.0 * slope, tolerance, 0.5, v, sharp)
     return sums[0] / sums[1]
+
+
+@wp.func
+def is_narrow(view: View, affine: wp.float32, radius: wp.float32):
+    """Whether the radius covers too few pixels for a wide blur."""
+    if view.projection == ORTHOGRAPHIC:
+        return radius * view.scale[0] < WIDE_PX
+    return radius * affine * view.scale[0] < WIDE_PX
 
 
 @wp.kernel(grid_stride=False)
@@ -125,12 +161,16 @@ def blur_words_kernel(
     # Params
     radius: wp.float32,
     columns: wp.int32,
+    wide: wp.int32,
     half: wp.int32,
     first: wp.int32,
     # Out
     out_words: wp.array[wp.uint32],
 ):
-    """Blur along rows (columns = 0) or columns (1), of the full image over 8 x 8 blocks or the half one over bins."""
+    """Blur along rows (columns = 0) or columns (1), of the full image over 8 x 8 blocks or the half one over bins.
+
+    A wide blur takes every third pixel and leaves alone what has a small radius.
+    """
     thread = wp.tid() + first
     tile = load_vec4i(tiles, thread // PIXEL_BLOCK_AREA)
     view = views[tile[0]]
@@ -143,14 +183,15 @@ def blur_words_kernel(
     if half != 0:
         i, pitch = half_index(view, x, y), view.bins_x * 8
     centre = words[i]
-    if centre == OPEN_WORD:
+    step = wp.int32(1 + 2 * wide)
+    if centre == OPEN_WORD or (wide != 0 and is_narrow(view, word_depth(centre), radius)):
         out_words[i] = centre
         return
     v = wp.float32(0.0)
     if columns != 0:
-        v = blurred(view, words, i, pitch, y, height, radius)
+        v = blurred(view, words, i, pitch, y, height, step, radius)
     else:
-        v = blurred(view, words, i, 1, x, width, radius)
+        v = blurred(view, words, i, 1, x, width, step, radius)
     out_words[i] = pack_visibility(word_depth(centre), v)
 
 
@@ -168,7 +209,7 @@ def blur_final_kernel(
     # Out
     out_visibility: wp.array[wp.float32],
 ):
-    """Blur along columns of the full image and finish: visibility in [0, 1], 1 on the background."""
+    """Wide blur along columns of the full image, and finish: visibility in [0, 1], 1 on the background."""
     thread = wp.tid() + first
     block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
     view = views[block[0]]
@@ -177,9 +218,10 @@ def blur_final_kernel(
     if x >= view.width or y >= view.height:
         return
     i = pixel_index(view, x, y)
-    v = wp.float32(1.0)
-    if words[i] != OPEN_WORD:
-        v = blurred(view, words, i, view.row_pitch, y, view.height, radius)
+    centre = words[i]
+    v = word_visibility(centre)
+    if centre != OPEN_WORD and not is_narrow(view, word_depth(centre), radius):
+        v = blurred(view, words, i, view.row_pitch, y, view.height, 3, radius)
     out_visibility[i] = final_visibility(v, power)
 
 

@@ -121,17 +121,15 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
         inputs = [views, tiles, self.gbuffer, pyramid, self.table, *self._gather_parameters(), FIRST]
         program.launch(self.gather, threads, inputs, [words], block_dim=gtao.BLOCK_DIM, band=64)
-        blur, block, half = bilateral.blur_words_kernel, bilateral.BLOCK_DIM, int(self.half)
-        inputs = [views, tiles, words, self.radius, 0, half, FIRST]
-        program.launch(blur, threads, inputs, [rows], block_dim=block, band=64)
-        if not self.half:
-            inputs = [views, resources.blocks, rows, self.radius, power, FIRST]
-            program.launch(bilateral.blur_final_kernel, over_blocks, inputs, [final], block_dim=block, band=64)
-            return
-        inputs = [views, tiles, rows, self.radius, 1, half, FIRST]
-        program.launch(blur, threads, inputs, [words], block_dim=block, band=64)
-        inputs = [views, resources.blocks, self.gbuffer, words, self.radius, power, FIRST]
-        program.launch(self.upsample, over_blocks, inputs, [final], block_dim=block, band=64)
+        blur, half = bilateral.blur_words_kernel, int(self.half)
+        # Narrow rows and columns, then wide ones; the last one finishes, or hands over to the upsampling.
+        stages = [(0, 0, words, rows), (1, 0, rows, words), (0, 1, words, rows)] + [(1, 1, rows, words)] * half
+        for columns, wide, source, target in stages:
+            inputs = [views, tiles, source, self.radius, columns, wide, half, FIRST]
+            program.launch(blur, threads, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
+        last, source = (self.upsample, words) if self.half else (bilateral.blur_final_kernel, rows)
+        inputs = [views, resources.blocks, *([self.gbuffer] * half), source, self.radius, power, FIRST]
+        program.launch(last, over_blocks, inputs, [final], block_dim=bilateral.BLOCK_DIM, band=64)
 
     def _gather_parameters(self) -> list[float]:
         settings = self.request.settings.ambient_visibility
