@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,17 @@ import numpy as np
 import warp as wp
 
 from warp_deferred import Renderer, Scene, Settings
+from warp_deferred.passes.light_culling import (
+    Band,
+    LightCullingPass,
+    culls_by_band,
+    fill_masks,
+    make_masks,
+    mask_words,
+)
+from warp_deferred.passes.raster import large_stored
 from warp_deferred.plan import Plan
+from warp_deferred.program import Program
 
 from .timing import run_until
 
@@ -35,14 +46,33 @@ def bytes_by_pass(plan: Plan) -> dict[str, int]:
 
 
 def lights_per_tile(plan: Plan) -> np.ndarray:
-    """Lights in each tile's mask, shape (tiles down, tiles across) int32; the first view's, read back."""
+    """Lights in each tile's mask, shape (tiles down, tiles across) int32; the first view's, read back.
+
+    Masks that come in bands are filled and read one band after the other, outside the frame.
+    """
     run_until(plan.resources.program, "light_culling")
     layout = plan.layout
     tile = layout.tile_size
     across, down = -(-layout.sizes[0].width // tile), -(-layout.sizes[0].height // tile)
-    words = plan.resources.channels["mask_words"].numpy().reshape(len(layout.tiles), -1)
-    counts = np.bitwise_count(words).sum(axis=1, dtype=np.int32)
-    return counts[: across * down].reshape(down, across)
+    culling = next(stage for stage in plan.passes if isinstance(stage, LightCullingPass))
+    per_tile = mask_words(plan.request)[0]
+    counts = []
+    for band in culling.bands:
+        if culls_by_band(plan.request, culling.bands):
+            _fill(plan, culling, band)
+        words = plan.resources.channels["mask_words"].numpy()[: band.tile_count * per_tile]
+        counts.append(np.bitwise_count(words.reshape(-1, per_tile)).sum(axis=1, dtype=np.int32))
+    return np.concatenate(counts)[: across * down].reshape(down, across)
+
+
+def _fill(plan: Plan, culling: LightCullingPass, band: Band) -> None:
+    """Fill the masks of one band now."""
+    program = Program(plan.resources.device, plan.request.threads)
+    program.begin("masks")
+    resources = dataclasses.replace(plan.resources, program=program)
+    fill_masks(resources, plan.request, culling.culling, make_masks(resources, plan.request, band), band)
+    program.load()
+    program.replay()
 
 
 def lit_lights(scene: Scene, size: tuple[int, int], device: wp.Device, settings: Settings) -> dict[str, float]:
@@ -69,7 +99,7 @@ def raster_counts(plan: Plan) -> dict[str, Any]:
         return {}
     entries = int(channels["bin_offsets"].numpy()[-1]) + int(channels["bin_counts"].numpy()[-1])
     return {
-        "raster.large_triangles": int(channels["large_count"].numpy()[0]),
+        "raster.large_triangles": sum(large_stored(channels["large_count"].numpy(), raster.large_capacity)),
         "raster.large_capacity": raster.large_capacity,
         "raster.bin_entries": entries,
         "raster.bin_capacity": raster.bin_capacity,

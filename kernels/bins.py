@@ -1,11 +1,11 @@
 """Bins: large triangles per 16 x 16 screen tile, in three steps: count, (scan,) fill, draw.
 
-One group of lanes per triangle tests the tiles of its box exactly. A tile's 256 threads stage 256 entries at a time in
-shared memory and loop over them with the best key in a register, so no atomics and one wait a batch. An entry that
-does not fit the lists is drawn by the lane that found it, with atomics: overflow costs time and never a pixel. Edge
-values are 64-bit once a tile, 32-bit inside it: an edge that neither accepts nor rejects the whole tile has
-|q| <= 2^29, and pixel steps are multiples of 256, so the shift loses nothing. The order of the lists depends on the
-run, the keys do not. Block size 256.
+A team of lanes per triangle, a whole block where its box has many tiles, tests the tiles exactly. A tile's 256 threads
+stage 256 entries at a time in shared memory and loop over them with the best key in a register, so no atomics and one
+wait a batch. An entry that does not fit the lists is drawn by the lane that found it, with atomics: overflow costs time
+and never a pixel. Edge values are 64-bit once a tile, 32-bit inside it: an edge that neither accepts nor rejects the
+whole tile has |q| <= 2^29, and pixel steps are multiples of 256, so the shift loses nothing. The order of the lists
+depends on the run, the keys do not. Block size 256.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import functools
 
 import warp as wp
 
-from .coverage import accept_depth, edge_threshold, first_pixel, fragment_depth, last_pixel, make_draw
+from .coverage import accept_depth, edge_threshold, first_pixel, fragment_depth, huge_first, last_pixel, make_draw
 from .intrinsics import bits_float, block_sync, block_width, float_bits, load_vec4i, shared_words
 from .projection import pixel_index
 from .structs import ALL_BITS, BIN_TILE, BIN_TILE_AREA, MODULE_OPTIONS, LargeTriangle, RasterTarget, View
@@ -186,16 +186,23 @@ def make_bin_kernels(depth_views: bool, behind: bool):
         # In
         target: RasterTarget,
         # Params
-        lanes: wp.int32,
-        stride: wp.int32,
+        teams: wp.vec4i,
         filling: wp.int32,
         # Out
         out_bins: Bins,
     ):
+        # Teams: lanes and number of those for huge triangles, whose blocks come first, then of those for the others.
         thread = wp.tid()
+        split = huge_first(target.large.shape[0])
+        lanes, stride = teams[0], teams[1]
+        index, count = split + thread // lanes, split + wp.min(target.large_count[1], target.large.shape[0] - split)
+        if thread >= lanes * stride:
+            thread -= lanes * stride
+            lanes = teams[2]
+            stride = teams[3]
+            index = thread // lanes
+            count = wp.min(target.large_count[0], split)
         lane = thread % lanes
-        index = thread // lanes
-        count = wp.min(target.large_count[0], target.large.shape[0])
         while index < count:
             t = target.large[index]
             bin_triangle(views[t.view], t, index, lane, lanes, filling, out_bins, target)

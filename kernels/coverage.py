@@ -28,6 +28,10 @@ from .structs import (
 
 #: Boxes of more pixels than the first number and at most the second look at their middle before they are drawn.
 PROBE_AREA_PX = (12, 32)
+#: Bin tiles of a box above which a triangle is huge: binned by a whole block of lanes, and kept apart at the end of the
+#: store, a share of which is theirs.
+HUGE_TILES = 32
+HUGE_SHARE = 16
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -38,6 +42,12 @@ def snap(position_px: wp.float32):
     return wp.int32(
         wp.floor(wp.clamp(position_px, -GUARD_BAND_PX, GUARD_BAND_PX) * wp.float32(SUBPIXEL) + wp.float32(0.5))
     )
+
+
+@wp.func
+def huge_first(capacity: wp.int32):
+    """First place of huge triangles in a store of large ones."""
+    return capacity - capacity // wp.static(HUGE_SHARE)
 
 
 @wp.func

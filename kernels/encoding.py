@@ -80,8 +80,10 @@ def encode_octahedral(n: wp.vec3, levels: wp.float32):
 @wp.func
 def decode_octahedral(code: wp.vec2ui, levels: wp.float32):
     """Unit vector of two codes."""
-    x = unpack_unorm(code[0], levels) * 2.0 - 1.0
-    y = unpack_unorm(code[1], levels) * 2.0 - 1.0
+    # Whole numbers first: the middle code is exactly 0, the ends exactly 1, and the reciprocal is a constant.
+    half = levels * 0.5
+    x = (wp.float32(code[0]) - half) * (1.0 / half)
+    y = (wp.float32(code[1]) - half) * (1.0 / half)
     z = 1.0 - wp.abs(x) - wp.abs(y)
     fold = wp.max(-z, 0.0)
     v = wp.vec3(x - sign_not_zero(x) * fold, y - sign_not_zero(y) * fold, z)

@@ -4,7 +4,8 @@ Depth bounds per tile, then two levels: coarse tiles (several tiles a side) test
 coarse tile kept. A light may be tested in vain, never missed: spheres are inflated by the rounding bound. A tile's
 volume is the slice of its frustum between its depth bounds; a sphere must reach the slice's box and all four side
 planes, a cone must reach the slice's bounding sphere (Wronski 2017, "Cull that cone!").
-Masks are combined with atomic OR, so their order cannot show. Block size 64.
+Masks are combined with atomic OR, so their order cannot show. Masks, and the tables and bounds that the mask kernels
+see, are those of one band of tiles, be it of all; only a tile's coarse tile is numbered over all bands. Block size 64.
 """
 
 from __future__ import annotations
@@ -265,7 +266,7 @@ def make_light_culling_kernels(depth_bounds: bool):
         tile = tiles[t]
         place = t * out_masks.words_per_tile + word
         bounds = out_masks.bounds[t]
-        candidates = out_masks.coarse[tile[3] * out_masks.words_per_tile + word]
+        candidates = out_masks.coarse[(tile[3] - out_masks.first_coarse) * out_masks.words_per_tile + word]
         if candidates == wp.uint32(0) or bounds[0] > bounds[1]:
             out_masks.words[place] = wp.uint32(0)
             return

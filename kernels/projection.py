@@ -107,4 +107,8 @@ def view_direction(view: View, relative: wp.vec3):
     """Unit vector from a surface point towards the viewer, world-oriented."""
     if view.projection == ORTHOGRAPHIC:
         return wp.vec3(view.rotation[2, 0], view.rotation[2, 1], view.rotation[2, 2])
-    return wp.normalize(-relative)
+    # One reciprocal in place of three divisions; the eye itself, where no surface is, has no direction.
+    length = wp.length(relative)
+    if length == 0.0:
+        return wp.vec3()
+    return relative * (-1.0 / length)

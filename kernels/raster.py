@@ -17,10 +17,12 @@ import warp as wp
 
 from .clipping import ClipPolygon, clip_polygon, clip_vertex, snap_vertex
 from .coverage import (
+    HUGE_TILES,
     accept_depth,
     edge_threshold,
     fits_32_bits,
     fragment_depth,
+    huge_first,
     make_draw,
     make_write_fragment,
     orient,
@@ -31,6 +33,7 @@ from .masking import make_discard
 from .projection import pixel_index, position_of, to_view, vertex_depth
 from .structs import (
     ALL_BITS,
+    BIN_TILE,
     CLUSTER_SIZE,
     FLAG_MASKED,
     FLAG_TWO_SIDED,
@@ -80,14 +83,21 @@ def make_emit(depth_views: bool, behind: bool):
         return 2
 
     @wp.func
-    def store_large(target: RasterTarget, t: LargeTriangle):
+    def store_large(target: RasterTarget, t: LargeTriangle, box: wp.vec4i):
         capacity = target.large.shape[0]
         if capacity == 0:
             return False
+        split = huge_first(capacity)
+        tiles = (box[2] // BIN_TILE - box[0] // BIN_TILE + 1) * (box[3] // BIN_TILE - box[1] // BIN_TILE + 1)
+        if tiles > wp.static(HUGE_TILES):
+            place = split + wp.atomic_add(target.large_count, 1, 1)
+            if place < capacity:
+                target.large[place] = t
+                return True
         place = wp.atomic_add(target.large_count, 0, 1)
-        if place < capacity:
+        if place < split:
             target.large[place] = t
-        return place < capacity
+        return place < split
 
     @wp.func
     def draw_alone(view: View, target: RasterTarget, t: LargeTriangle, box: wp.vec4i):
@@ -118,7 +128,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
     def draw_single(view: View, target: RasterTarget, t: LargeTriangle):
         box = pixel_box(view, t)
         kind = classify(target, t, box)
-        if kind != 0 and (kind == 1 or not store_large(target, t)):
+        if kind != 0 and (kind == 1 or not store_large(target, t, box)):
             draw_alone(view, target, t, box)
 
     @wp.func

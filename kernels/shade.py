@@ -12,7 +12,8 @@ import warp as wp
 
 from .brdf import INVERSE_PI, MIN_N_DOT_V, diffuse_albedo, make_reflectance
 from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
-from .intrinsics import load_vec4, load_vec4i, lowest_bit, pack_half4
+from .image import store_limit, to_half
+from .intrinsics import load_vec4, load_vec4i, lowest_bit
 from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
@@ -20,6 +21,8 @@ from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, FrameValues, GBuffer, Lig
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
+#: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
+BOUNDS = (64, 18)
 OUTPUTS = ("color", "diffuse", "specular", "light_count")
 #: (codec, models, kinds, polynomial, emissive, outputs, visible): what CI compiles.
 VARIANTS = [
@@ -41,27 +44,6 @@ class ShadeTarget:
     diffuse: wp.array[wp.vec3]
     specular: wp.array[wp.vec3]
     light_count: wp.array[wp.int32]
-
-
-@wp.func
-def finite_radiance(value: wp.float32, limit: wp.float32):
-    """NaN and negative become 0, what is too large the limit: nothing non-finite leaves the pass."""
-    if not (value > 0.0):
-        return wp.float32(0.0)
-    return wp.min(value, limit)
-
-
-@wp.func
-def store_limit(v: wp.vec3, limit: wp.float32):
-    """Apply `finite_radiance` to a colour."""
-    return wp.vec3(finite_radiance(v[0], limit), finite_radiance(v[1], limit), finite_radiance(v[2], limit))
-
-
-@wp.func
-def to_half(v: wp.vec3):
-    """Radiance as half4, clamped to half's range before the cast."""
-    c = store_limit(v, 65504.0)
-    return pack_half4(c[0], c[1], c[2])
 
 
 @functools.cache
@@ -96,7 +78,7 @@ def make_shade_kernel(
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=BOUNDS)
     def shade_kernel(
         # Frame
         views: wp.array[View],
@@ -133,7 +115,8 @@ def make_shade_kernel(
             point = relative_position(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
             v = view_direction(view, point)
             lobe = view_lobe(s, wp.max(wp.dot(s.normal, v), MIN_N_DOT_V))
-            tile = view.tile_offset + (y >> masks.tile_shift) * view.tiles_x + (x >> masks.tile_shift)
+            tile = view.tile_offset - masks.first_tile
+            tile += (y >> masks.tile_shift) * view.tiles_x + (x >> masks.tile_shift)
             base = block[0] * lights.capacity
             for group in range(masks.summary_per_tile):
                 summary = masks.summary[tile * masks.summary_per_tile + group]

@@ -191,7 +191,7 @@ class RasterTarget:
     keys: wp.array[wp.uint64]  # z bits above (0xFFFFFFFF - id)
     depth_keys: wp.array[wp.uint32]  # z bits, for depth-only views
     large: wp.array[LargeTriangle]
-    large_count: wp.array[wp.int32]
+    large_count: wp.array[wp.int32]  # [large, huge]
     behind: wp.array[wp.uint64]  # keys a fragment must lie behind, where that mode is compiled in
 
 
@@ -267,15 +267,17 @@ class Lights:
 
 @wp.struct
 class LightMasks:
-    """Which lights a tile considers: one bit a light, and one summary bit a word."""
+    """Which lights a tile considers: one bit a light, and one summary bit a word. Holds one band of tiles."""
 
-    words: wp.array[wp.uint32]  # [tile * words_per_tile + word]
-    summary: wp.array[wp.uint32]  # [tile * summary_per_tile + word / 32]
-    coarse: wp.array[wp.uint32]  # [coarse tile * words_per_tile + word]
-    bounds: wp.array[wp.vec2]  # nearest and farthest depth a tile [m]
+    words: wp.array[wp.uint32]  # [tile in band * words_per_tile + word]
+    summary: wp.array[wp.uint32]  # [tile in band * summary_per_tile + word / 32]
+    coarse: wp.array[wp.uint32]  # [coarse tile in band * words_per_tile + word]
+    bounds: wp.array[wp.vec2]  # nearest and farthest depth a tile of the band [m]
     coarse_bounds: wp.array[wp.vec2]
     words_per_tile: wp.int32
     summary_per_tile: wp.int32
+    first_tile: wp.int32  # tiles before the band
+    first_coarse: wp.int32
     tile_shift: wp.int32  # log2 of the tile size
     coarse_shift: wp.int32  # log2 of the tiles along a coarse tile's side
 

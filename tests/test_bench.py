@@ -14,11 +14,11 @@ from warp_deferred.errors import InputError
 SHARED = bench_package.ROOT.parent / "shared" / "cases" / "triangles.py"
 
 
-def small_plan(outputs=("light_count",), settings=None):
+def small_plan(outputs=("light_count",), settings=None, size=(90, 50)):
     scene = cases.terrain_scene(21)
     for x in np.linspace(-4.0, 4.0, 9):
         scene.lights.add(PointLight(position=(x, 1.5, 3.0 + 0.3 * x), intensity=5.0, range=3.0 + 0.2 * x))
-    renderer = probe.open_scene(scene, (90, 50), wp.get_device("cpu"), outputs)
+    renderer = probe.open_scene(scene, size, wp.get_device("cpu"), outputs)
     return renderer, probe.plan_of(renderer, settings or Settings())
 
 
@@ -172,6 +172,21 @@ def test_brute_force_considers_every_light():
     culling = Settings().light_culling.replace(rung="brute_force")
     counts = probe.lights_per_tile(small_plan(settings=Settings().replace(light_culling=culling))[1])
     assert (counts == 9).all()
+
+
+@pytest.mark.parametrize("rung", ["tiles_depth", "brute_force"])
+def test_lights_per_tile_are_the_same_in_bands(rung):
+    counts, bands = [], []
+    for budget in (1 << 28, 1):
+        culling = Settings().light_culling.replace(rung=rung, tile_size=8, mask_budget_bytes=budget)
+        settings = Settings().replace(light_culling=culling)
+        renderer, plan = small_plan(("color",), settings, (90, 150))
+        before = renderer.render().copy()
+        counts.append(probe.lights_per_tile(plan))
+        bands.append(renderer.memory_report().mask_bands)
+        assert np.array_equal(before.numpy("color"), renderer.render().numpy("color")), "a probe leaves no trace"
+    assert bands == [1, 3] and counts[0].any()
+    assert np.array_equal(*counts)
 
 
 def test_mean_of_lit_lights_leaves_the_background_out():

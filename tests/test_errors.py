@@ -127,16 +127,6 @@ def test_more_pixels_than_indices_are_refused_before_their_memory_is_taken(devic
     assert sum(size for _, size in spy.allocated) < 100_000, "only the scene and the lights"
 
 
-def test_more_light_masks_than_indices_are_refused_before_their_memory_is_taken(device):
-    scene = simple(0)
-    scene.lights.extend("point", 20_000, position=(0.0, 1.0, 0.0), range=1.0)
-    settings = wd.Settings().with_values(["light_culling.tile_size=8"])
-    renderer = wd.Renderer(scene, width=16384, height=16384, device=device, outputs=("color",), settings=settings)
-    with Spy() as spy, pytest.raises(wd.CapacityError, match=r"light masks: expected .*; use larger light tiles"):
-        renderer.render()
-    assert sum(size for _, size in spy.allocated) < 10_000_000, "only the scene and the lights"
-
-
 def test_more_lights_than_indices_are_refused(device, monkeypatch):
     monkeypatch.setattr(light_store, "MAX_STAGED", 63)
     scene = simple()

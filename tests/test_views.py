@@ -89,6 +89,23 @@ def test_mixed_views_give_the_bits_of_single_ones(depth_view, bins, device):
         assert np.array_equal(bits(linear_depth(keys, camera)), bits(expected["depth"]))
 
 
+@pytest.mark.parametrize("tile", [8, 64])
+@pytest.mark.parametrize("rung", ["tiles_depth", "brute_force"])
+def test_bands_of_masks_change_no_bit_of_mixed_views(rung, tile, device):
+    scene, frames = gallery(), []
+    sizes = [ViewSize(*size, depth_only=k == 1) for k, size in enumerate([(64, 300), (40, 90), (257, 333)])]
+    for budget in (1 << 28, 1 << 11, 1):
+        changes = [f"light_culling.{n}={v}" for n, v in (("rung", rung), ("tile_size", tile))]
+        settings = FULL.with_values([*changes, f"light_culling.mask_budget_bytes={budget}"])
+        plan, arrays = run_views(scene, cameras_of(scene), sizes, device, settings=settings)
+        frames.append([cut(arrays, plan, k) for k in (0, 2)])
+        bands = next(stage.bands for stage in plan.passes if stage.name == "light_culling")
+        assert len(bands) == {1 << 28: 1, 1: 11 if tile == 8 else 4}.get(budget, len(bands))
+    for other in frames[1:]:
+        for one, two in zip(frames[0], other, strict=True):
+            assert_same(one, two)
+
+
 def test_depth_views_alone_need_no_attributes(device):
     scene = gallery()
     sizes = [ViewSize(40, 30, depth_only=True), ViewSize(9, 50, depth_only=True)]

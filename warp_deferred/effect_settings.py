@@ -1,4 +1,4 @@
-"""Settings of the effects, one class each with its `rung`; collected by `settings.Settings`.
+"""Settings of the optional effects: one class each, its `rung` from the neutral `off` to the reference.
 
 `when` tells what may put an effect into the plan: "called_for" leaves it to the scene, "always" runs it although the
 scene does not call for it. `rung="off"` keeps it out whatever calls for it.
@@ -12,7 +12,7 @@ from pydantic import Field
 
 from .records import Record
 
-__all__ = ["AmbientVisibilitySettings"]
+__all__ = ["AmbientVisibilitySettings", "AntiAliasingSettings"]
 
 
 class AmbientVisibilitySettings(Record):
@@ -43,3 +43,16 @@ class AmbientVisibilitySettings(Record):
     """ray_traced: rays a pixel; time grows in proportion, the error falls with it."""
     bias: float = Field(0.01, ge=0.0, le=0.5)
     """ssao and ray_traced: how far tests start above the surface, as a share of the radius."""
+
+
+class AntiAliasingSettings(Record):
+    """Light averaged over the pixel's square, in place of light at its centre.
+
+    The samples are averaged with equal weights in linear radiance before exposure and tone mapping: `color`, `display`,
+    `diffuse`, `specular` and `alpha` (then the share of the pixel that is covered). The other outputs stay those of the
+    pixel's centre, and asking for one of them takes one more run of the sample part. A sample that is very bright
+    stays very bright in the average.
+    """
+
+    rung: Literal["off", "samples_4", "samples_16", "samples_64"] = "off"
+    """samples_N: N points in every pixel, well spread; time grows by what precedes the picture, memory does not."""

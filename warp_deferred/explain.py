@@ -7,8 +7,9 @@ import io
 from typing import Any
 
 from .device_scene import DeviceScene
-from .plan import PassReport, Plan
+from .plan import Plan
 from .scene import Scene
+from .selection import PassReport
 
 __all__ = ["Explanation", "MemoryReport"]
 
@@ -31,6 +32,11 @@ def _table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) ->
     stream = io.StringIO()
     Console(file=stream, width=110, color_system=None).print(table)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines())
+
+
+def _mask_bands(plan: Plan) -> int:
+    """Bands the light masks come in; 0 without masks."""
+    return next((len(stage.bands) for stage in plan.passes if stage.name == "light_culling"), 0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +64,13 @@ class Explanation:
             f"{plan.resources.scene.instance_count:,} instances, {len(scene.lights):,} lights",
             f"buffers {_size(plan.bytes)} beside the scene's {_size(plan.resources.scene.bytes)}",
         ]
+        if (bands := _mask_bands(plan)) > 1:
+            notes.append(
+                f"light masks come in {bands} bands of tiles, culled and timed with shade; "
+                "light_culling.mask_budget_bytes holds them all in one if raised"
+            )
+        if plan.replays > 1:
+            notes.append(f"the passes between start and average run {plan.replays} times; figures are of all of them")
         notes += plan.counters()
         return cls(title, rows, notes + list(scene.notes))
 
@@ -66,7 +79,7 @@ class Explanation:
         rows = [
             [
                 r.name,
-                "runs" if r.runs else "-",
+                "-" if not r.runs else "skipped" if r.active is False else "runs",
                 r.rung,
                 "" if r.milliseconds is None else f"{r.milliseconds:.3f}",
                 _size(r.bytes) if r.runs else "",
@@ -101,6 +114,7 @@ class MemoryReport:
         outputs: Bytes of the outputs.
         tables: Bytes of tables, views and lights.
         scene: Bytes of geometry, materials and textures.
+        mask_bands: Bands of tiles that the light masks come in; the mask buffers hold one. 0 without masks.
     """
 
     buffers: dict[str, int]
@@ -108,16 +122,17 @@ class MemoryReport:
     outputs: int
     tables: int
     scene: int
+    mask_bands: int
 
     @classmethod
     def of(cls, plan: Plan, scene: DeviceScene) -> MemoryReport:
         """Gather a plan's memory."""
         r = plan.resources
         tables = (
-            sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.size + r.lights.bytes
+            sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.bytes + r.lights.bytes
         )
         outputs = sum(a.capacity if a.capacity else a.size * 4 for a in (r.channels[n] for n in plan.outputs))
-        return cls(dict(plan.memory), plan.arena.capacity, outputs, tables, scene.bytes)
+        return cls(dict(plan.memory), plan.arena.capacity, outputs, tables, scene.bytes, _mask_bands(plan))
 
     @property
     def total(self) -> int:
@@ -125,7 +140,11 @@ class MemoryReport:
         return self.shared + self.outputs + self.tables
 
     def __str__(self) -> str:
-        rows = [[name, _size(size)] for name, size in sorted(self.buffers.items(), key=lambda kv: -kv[1])]
+        held = {}
+        if self.mask_bands > 1:
+            held = dict.fromkeys(("mask_words", "mask_summary", "mask_coarse"), f", 1 of {self.mask_bands} bands")
+        ordered = sorted(self.buffers.items(), key=lambda kv: -kv[1])
+        rows = [[name + held.get(name, ""), _size(size)] for name, size in ordered]
         rows += [["transient buffers share", _size(self.shared)], ["outputs", _size(self.outputs)]]
         rows += [["tables, views, lights", _size(self.tables)], ["beside the scene", _size(self.total)]]
         rows += [["scene", _size(self.scene)]]

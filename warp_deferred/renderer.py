@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import operator
 import os
 import struct
@@ -21,11 +22,12 @@ from .frame import Frame
 from .kernels import clusters as cluster_kernels
 from .light_store import LightStore
 from .memory import enough_memory
-from .passes.base import Request
-from .plan import Plan
+from .passes.base import Lens, Pass, Request
+from .plan import PASSES, Plan
 from .scene import Scene
+from .selection import check_passes, with_passes
 from .settings import Settings
-from .views import MAX_SIZE, ViewSize
+from .views import MAX_SIZE, ViewLayout, ViewSize
 
 __all__ = ["Renderer"]
 
@@ -51,9 +53,10 @@ class Renderer:
         threads: Host threads on the CPU; the number of cores if left out.
         share_memory: Let transient buffers share memory; False keeps each whole until the next frame, so that single
             passes can be looked at and timed by themselves.
+        passes: Passes of your own, objects or classes of `warp_deferred.Pass`, see docs/custom-pass.md.
 
     Raises:
-        InputError: If a size, an output or a setting does not fit.
+        InputError: If a size, an output, a setting or a pass does not fit.
         DeviceError: If the device is not there.
     """
 
@@ -68,6 +71,7 @@ class Renderer:
         settings: Settings | None = None,
         threads: int | None = None,
         share_memory: bool = True,
+        passes: Sequence[Pass | type[Pass]] = (),
     ) -> None:
         if not isinstance(scene, Scene):
             raise input_error(
@@ -91,6 +95,7 @@ class Renderer:
         wanted = cores if threads is None else check_count("Renderer.threads", threads, 1, 256)
         self._threads = 0 if self.device.is_cuda else wanted
         self._share_memory = bool(share_memory)
+        self._passes = check_passes(passes, PASSES)
         self._plans: dict[Request, Plan] = {}
         self._device_scene: DeviceScene | None = None
         self._lights: dict[tuple[int, int], LightStore] = {}
@@ -158,7 +163,7 @@ class Renderer:
         plan.replay()
         self._generation += 1
         generation = self._generation
-        return Frame(plan.outputs, cameras, lambda: self._generation == generation)
+        return Frame(plan.shown, cameras, lambda: self._generation == generation)
 
     def _write_views(self, plan: Plan, block: memoryview, cameras: list[Camera]) -> None:
         """Pack the cameras, or copy the last bytes where they are the same objects: fixed views cost a copy."""
@@ -175,7 +180,7 @@ class Renderer:
             cluster_kernels.stage_cameras_kernel,
             dim=count,
             inputs=[array],
-            outputs=[resources.frame.views],
+            outputs=[resources.frame.uploaded],
             device=self.device,
             block_dim=cluster_kernels.BLOCK_DIM,
         )
@@ -197,11 +202,11 @@ class Renderer:
     def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
         scene = self.scene
         seen = (scene.structure_revision, scene.lights.structure_revision, scene.look_revision)
-        worlds = tuple([c.world for c in cameras])
+        chosen = tuple([c.selector for c in cameras])
         # The common case, a frame like the last one, must not hash settings or requests.
         settings = self._settings or scene.settings
         fast = self._fast
-        if fast is not None and fast[0] == seen and fast[1] == worlds and fast[2] is settings:
+        if fast is not None and fast[0] == seen and fast[1] == chosen and fast[2] is settings:
             return fast[3]
         if self._device_scene is None or self._seen[:1] != seen[:1]:
             self._load_scene()
@@ -209,7 +214,7 @@ class Renderer:
             self._features = Features.of(scene)
             self._seen = seen
             self._requests.clear()
-        key = (worlds, settings)
+        key = (chosen, settings)
         request = self._requests.get(key)
         if request is None:
             request = self._requests[key] = self._request(cameras)
@@ -219,7 +224,7 @@ class Renderer:
         if plan is not self._plan:
             self._plans[request] = self._plans.pop(request)
             self._plan = plan
-        self._fast = (seen, worlds, settings, plan, self._ranges(cameras))
+        self._fast = (seen, chosen, settings, plan, self._ranges(cameras))
         return plan
 
     def _load_scene(self) -> None:
@@ -238,7 +243,7 @@ class Renderer:
         ranges = [scene.view_range(c.world) for c in cameras]
         instances = max(r[0] + r[2] for r in ranges)
         slots = max(r[3] + r[5] for r in ranges)
-        return Request(
+        request = Request(
             outputs=self.outputs,
             sizes=(ViewSize(self.width, self.height),) * len(cameras),
             settings=self.settings,
@@ -250,7 +255,9 @@ class Renderer:
             scene_key=self._scene_key,
             threads=self._threads,
             share_memory=self._share_memory,
+            lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
+        return with_passes(request, self._passes, ViewLayout(request.sizes, 16)) if self._passes else request
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
         key = (request.features.light_capacity, len(request.sizes))

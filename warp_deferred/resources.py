@@ -20,6 +20,11 @@ class FrameBlock:
     """Everything the host changes every frame, in one block and one copy: views, then frame values.
 
     The pinned copies form a ring, so that the host can write the next frame while the device still reads the last.
+
+    Attributes:
+        uploaded: The views as the host or `poses` gave them.
+        values: Frame values.
+        sampling: Whether the pass that is being built runs once a sample; then `views` are those of the sample.
     """
 
     RING_BYTES = 1 << 19
@@ -31,10 +36,12 @@ class FrameBlock:
         self.size = self.values_offset + value_size
         self.device = device
         self._block = wp.zeros(self.size, dtype=wp.uint8, device=device)
-        self.views = wp.array(ptr=self._block.ptr, dtype=structs.View, shape=(views,), device=device, copy=False)
+        self.uploaded = wp.array(ptr=self._block.ptr, dtype=structs.View, shape=(views,), device=device, copy=False)
         self.values = wp.array(
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
+        self._moved: wp.array | None = None
+        self.sampling = False
         pinned = device.is_cuda
         # One pinned allocation for all slots: enough that a host far ahead of the device still does not wait.
         slots = min(1024, max(4, self.RING_BYTES // self.size)) if pinned else 1
@@ -44,6 +51,20 @@ class FrameBlock:
         self._memory = [whole[k * self.size : (k + 1) * self.size] for k in range(slots)]
         self._events: list[wp.Event | None] = [None] * len(self._slots)
         self._next = 0
+
+    @property
+    def views(self) -> wp.array:
+        """Views for the pass that is being built: moved ones in the sample part of a frame of several samples."""
+        return self._moved if self.sampling and self._moved is not None else self.uploaded
+
+    @property
+    def bytes(self) -> int:
+        """Device memory held."""
+        return self.size + (self._moved.capacity if self._moved is not None else 0)
+
+    def split(self) -> None:
+        """Give the sample part views of its own."""
+        self._moved = wp.zeros_like(self.uploaded)
 
     def begin(self) -> memoryview:
         """Return the host memory of the next block, waiting if the device still reads it."""

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AmbientVisibilitySettings
+from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings
 from .records import Record
 
 __all__ = [
@@ -44,6 +44,10 @@ class LightCullingSettings(Record):
     """2D tiles; tiles with depth bounds; every light everywhere (reference)."""
     tile_size: Literal[8, 16, 32, 64] = 16
     """Side of a screen tile [px]."""
+    mask_budget_bytes: int = Field(256 << 20, ge=1, le=(1 << 33) - 4)
+    """Memory for light masks [byte], 1 to 8 GiB less 4; where all would take more, tiles are culled and shaded in bands
+    with the same image, at five launches for each band past the first. A band is at least one row of coarse tiles, 64
+    to 256 pixels high, which may exceed it."""
 
 
 class ShadeSettings(Record):
@@ -75,6 +79,8 @@ class Settings(Record):
     """How much of the ambient light each surface point sees."""
     display: DisplaySettings = DisplaySettings()
     """Tone mapping."""
+    anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()
+    """Samples a pixel."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.

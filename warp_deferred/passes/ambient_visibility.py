@@ -12,38 +12,13 @@ from ..kernels import bilateral, depth_pyramid
 from ..program import FIRST
 from ..resources import Resources
 from ..world_mesh import WorldMesh
-from .base import Buffer, Pass, Request
+from .base import Buffer, Pass
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
 
-__all__ = ["AmbientVisibilityPass", "ambient_visibility_reason", "why_not"]
+__all__ = ["AmbientVisibilityPass"]
 
-#: Outputs that ambient light is part of.
-AMBIENT_OUTPUTS = ("color", "display")
 #: Beyond it the squared radius would leave float32 [m].
 LARGEST_RADIUS = 1e18
-
-
-def ambient_visibility_reason(request: Request) -> str | None:
-    """Reason why the effect runs, or None; host-side declarations only."""
-    settings = request.settings.ambient_visibility
-    if settings.rung == "off":
-        return None
-    if "ambient_visibility" in request.outputs:
-        return "ambient_visibility asked for"
-    if not any(name in request.outputs for name in AMBIENT_OUTPUTS):
-        return None
-    if request.features.ambient:
-        return "ambient light is not zero"
-    return "the settings ask for it always" if settings.when == "always" else None
-
-
-def why_not(request: Request) -> str:
-    """Reason why the effect does not run."""
-    if request.settings.ambient_visibility.rung == "off":
-        return "off in the settings"
-    if not any(name in request.outputs for name in AMBIENT_OUTPUTS):
-        return "no output asked for shows ambient light"
-    return "no ambient light"
 
 
 class AmbientVisibilityPass(Pass):
@@ -51,10 +26,6 @@ class AmbientVisibilityPass(Pass):
 
     name = "ambient_visibility"
     doc = "find how much ambient light each surface sees"
-
-    def called_for(self) -> str | None:
-        """Ambient light, or the output asked for."""
-        return ambient_visibility_reason(self.request)
 
     def rung(self) -> str:
         """Rung."""

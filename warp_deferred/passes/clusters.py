@@ -23,6 +23,10 @@ class ClustersPass(Pass):
         """Whatever is seen goes through it."""
         return "the scene has triangles" if self.request.candidates else None
 
+    def why_not(self) -> str:
+        """Nothing to draw."""
+        return "the scene has no triangles"
+
     def reads(self) -> tuple[str, ...]:
         """Nothing but the scene."""
         return ()

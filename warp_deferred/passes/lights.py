@@ -6,7 +6,6 @@ from ..kernels import lights as kernels
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
-from .resolve import is_lit
 
 __all__ = ["LightsPass"]
 
@@ -16,13 +15,19 @@ class LightsPass(Pass):
 
     name = "lights"
     doc = "stage lights relative to each view"
+    # Samples move within the pixel, not the eye.
+    scope = "frame_start"
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""
-        if self.request.features.kinds and is_lit(self.request):
+        if self.request.features.kinds and self.request.lit:
             infinite = self.request.features.infinite_lights
             return "the scene has lights" + (f" ({infinite} without a range, in every tile)" if infinite else "")
         return None
+
+    def why_not(self) -> str:
+        """No light, or nothing lit."""
+        return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
 
     def reads(self) -> tuple[str, ...]:
         """Nothing but the scene."""

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import warp as wp
 
 from ..kernels import bins as bin_kernels
+from ..kernels import coverage, structs
 from ..kernels import merge as merge_kernels
 from ..kernels import raster as kernels
-from ..kernels import structs
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
 
-__all__ = ["RasterPass"]
+__all__ = ["RasterPass", "large_stored"]
 
 #: Blocks of the fixed grid; measured best on an H200 (design, section 5).
 GRID_BLOCKS = 8192
 CAREFUL_BLOCKS = 1024
-BIN_LANES = 8
-BIN_GROUPS = 16896
+#: Lanes and number of the teams that bin: those for huge triangles, then those for the others.
+HUGE_TEAM = (256, 264)
+LARGE_TEAM = (8, 16896)
+
+
+def large_stored(counts: Sequence[int], capacity: int) -> tuple[int, int]:
+    """Numbers of large triangles that were stored and that found no room, from the two counters of a frame."""
+    split = capacity - capacity // coverage.HUGE_SHARE
+    return min(int(counts[0]), split) + min(int(counts[1]), capacity - split), max(0, int(counts[0]) - split)
 
 
 class RasterPass(Pass):
@@ -66,8 +75,8 @@ class RasterPass(Pass):
             result["large_triangles"] = Buffer(structs.LargeTriangle, raster.large_capacity)
             result["bin_entries"] = Buffer(wp.vec4i, max(raster.bin_capacity, 1))
             result["bin_offsets"] = Buffer(wp.int32, tiles, lasting=True)
-            # Counts, cursors and the number of large triangles: one memset clears them all.
-            result["bin_state"] = Buffer(wp.int32, 2 * tiles + 1, lasting=True, early=True)
+            # Counts, cursors and the numbers of large and huge triangles: one memset clears them all.
+            result["bin_state"] = Buffer(wp.int32, 2 * tiles + 2, lasting=True, early=True)
         return result
 
     def prepare(self, resources: Resources) -> None:
@@ -87,7 +96,7 @@ class RasterPass(Pass):
             target.keys = self._slice(resources, "keys", wp.uint64, self.layout.pixels, k)
             target.depth_keys = self._slice(resources, "depth_keys", wp.uint32, self.layout.depth_pixels, k)
             target.large = resources.channels.get("large_triangles", none)
-            target.large_count = resources.channel("large_count", wp.int32)
+            target.large_count = channels.get("large_count", wp.zeros(2, dtype=wp.int32, device=resources.device))
             target.behind = wp.zeros(1, dtype=wp.uint64, device=resources.device)
             self.targets.append(target)
         if self.binned:
@@ -145,15 +154,15 @@ class RasterPass(Pass):
 
     def _bin(self, resources: Resources) -> None:
         program, views, target = resources.program, resources.frame.views, self.targets[0]
-        lanes = BIN_LANES if resources.device.is_cuda else 1
-        groups = BIN_GROUPS if resources.device.is_cuda else 1
+        huge, large = (HUGE_TEAM, LARGE_TEAM) if resources.device.is_cuda else ((1, 1), (1, 1))
+        teams = wp.vec4i(*huge, *large)
         counts, offsets = self.bins.counts, self.bins.offsets
 
         def bin_step(filling: int) -> None:
             program.launch(
                 self.bin_triangles,
-                lanes * groups,
-                [views, target, lanes, groups, filling],
+                huge[0] * huge[1] + large[0] * large[1],
+                [views, target, teams, filling],
                 [self.bins],
                 block_dim=bin_kernels.BLOCK_DIM,
             )

@@ -11,27 +11,21 @@ from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass, Request
 
-__all__ = ["ResolvePass", "gbuffer_buffers", "gbuffer_codec", "is_lit", "make_gbuffer", "needs_gbuffer"]
+__all__ = ["ResolvePass", "gbuffer_buffers", "gbuffer_codec", "make_gbuffer", "needs_gbuffer"]
 
 LAYER_TYPES = {
     "normal": wp.vec3, "position": wp.vec3, "albedo": wp.vec3, "alpha": wp.float32, "instance_id": wp.int32,
     "semantic_id": wp.int32, "material_id": wp.int32, "triangle_id": wp.int32,
 }  # fmt: skip
-LIT_OUTPUTS = ("color", "display", "diffuse", "specular", "light_count")
 GBUFFER_FIELDS = {
     "normal": wp.uint32, "normal_wide": wp.uint32, "albedo": wp.uint32, "extra": wp.uint32,
     "full_normal": wp.vec4, "full_albedo": wp.vec4, "full_extra": wp.vec4,
 }  # fmt: skip
 
 
-def is_lit(request: Request) -> bool:
-    """Whether some output is lit."""
-    return any(name in request.outputs for name in LIT_OUTPUTS)
-
-
 def needs_gbuffer(request: Request) -> bool:
     """Whether some pass reads the G-buffer: lighting, or what looks at surfaces by itself."""
-    return is_lit(request) or "ambient_visibility" in request.outputs
+    return request.lit or "ambient_visibility" in request.outputs
 
 
 def gbuffer_codec(request: Request) -> tuple[str, str, bool]:
@@ -80,7 +74,7 @@ class ResolvePass(Pass):
 
     def called_for(self) -> str | None:
         """Some output shows a surface."""
-        if is_lit(self.request):
+        if self.request.lit:
             return "an output is lit"
         if needs_gbuffer(self.request):
             return "ambient visibility looks at surfaces"

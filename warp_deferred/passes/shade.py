@@ -1,20 +1,24 @@
-"""Shade: light the G-buffer by each tile's lights."""
+"""Shade: light the G-buffer by each tile's lights; where light masks come in bands, band by band."""
 
 from __future__ import annotations
 
+import functools
+
 import warp as wp
 
+from ..effects import called_for
 from ..kernels import shade as kernels
+from ..kernels.light_culling import make_light_culling_kernels
 from ..program import FIRST
 from ..resources import Resources
-from .ambient_visibility import ambient_visibility_reason
-from .base import Buffer, Pass
-from .light_culling import make_masks
-from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
+from .base import LIT_OUTPUTS, Buffer, Pass
+from .image import all_writes, float_image, make_image
+from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
+from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
 
 __all__ = ["ShadePass"]
 
-TYPES = {"color": wp.vec3, "diffuse": wp.vec3, "specular": wp.vec3, "light_count": wp.int32, "radiance": wp.uint64}
+TYPES = {"diffuse": wp.vec3, "specular": wp.vec3, "light_count": wp.int32}
 
 
 class ShadePass(Pass):
@@ -22,25 +26,28 @@ class ShadePass(Pass):
 
     name = "shade"
     doc = "accumulate diffuse and specular light"
+    image = "write"
 
-    def called_for(self) -> str | None:
-        """Something lit is asked for."""
-        names = [n for n in ("color", "display", "diffuse", "specular", "light_count") if n in self.request.outputs]
-        return f"{', '.join(names)} asked for" if names else None
+    @functools.cached_property
+    def bands(self) -> tuple[Band, ...]:
+        """Bands the blocks are shaded in."""
+        return mask_bands(self.request, self.layout)
 
     @property
-    def float_color(self) -> bool:
-        """Whether radiance is kept in float32: it was asked for, or the setting says so."""
-        request = self.request
-        return (
-            "color" in request.outputs
-            or request.settings.shade.radiance == "float32"
-            or request.settings.gbuffer.rung == "full"
-        )
+    def culls(self) -> bool:
+        """Whether the masks are filled here, band by band."""
+        return culls_by_band(self.request, self.bands)
+
+    def called_for(self) -> str | None:
+        """Something lit is asked for, or a user's own pass works on the image."""
+        names = [n for n in LIT_OUTPUTS if n in self.request.outputs]
+        if not names and self.request.lit:
+            names = [stage.name for stage in self.request.passes if stage.image]
+        return f"{', '.join(names)} asked for" if names else None
 
     def rung(self) -> str:
         """Radiance format."""
-        return "float32" if self.float_color else "half"
+        return "float32" if float_image(self.request) else "half"
 
     def reads(self) -> tuple[str, ...]:
         """G-buffer, masks, lights."""
@@ -49,20 +56,21 @@ class ShadePass(Pass):
             names.append("emission")
         if self.request.features.kinds:
             names += ["mask_words", "mask_summary", "staged_lights"]
-        if ambient_visibility_reason(self.request):
+        if called_for(self.request, "ambient_visibility"):
             names.append("ambient_visibility")
+        if self.culls:
+            names += ["mask_coarse", "mask_bounds", "mask_coarse_bounds"]
         return tuple(names)
 
     def writes(self) -> dict[str, Buffer]:
-        """Radiance, and the parts asked for."""
-        names = [n for n in ("diffuse", "specular", "light_count") if n in self.request.outputs]
-        names.append("color" if self.float_color else "radiance")
-        return {n: Buffer(TYPES[n], max(self.layout.pixels, 1)) for n in names}
+        """The parts asked for."""
+        return {n: Buffer(t, max(self.layout.pixels, 1)) for n, t in TYPES.items() if n in self.request.outputs}
 
     def prepare(self, resources: Resources) -> None:
-        """Fetch the kernel, build the structs."""
+        """Fetch the kernels, build the structs."""
         features = self.request.features
-        outputs = tuple(n for n in kernels.OUTPUTS if n in self.writes())
+        full = float_image(self.request)
+        outputs = ("color",) * full + tuple(n for n in TYPES if n in self.request.outputs)
         self.kernel = kernels.make_shade_kernel(
             gbuffer_codec(self.request),
             features.models,
@@ -73,35 +81,41 @@ class ShadePass(Pass):
             "ambient_visibility" in self.reads(),
         )
         self.gbuffer = make_gbuffer(resources)
-        self.masks = make_masks(resources, features.light_capacity)
+        if self.culls:
+            depth_bounds = self.request.settings.light_culling.rung == "tiles_depth"
+            self.culling = make_light_culling_kernels(depth_bounds)
+        self.masks = [make_masks(resources, self.request, band) for band in self.bands]
         self.out = kernels.ShadeTarget()
         for name, dtype in TYPES.items():
             setattr(self.out, name, resources.channel(name, dtype))
+        image = make_image(resources, self.request, self.target)
+        self.out.color, self.out.radiance = image.full, image.half
 
     def run(self, resources: Resources) -> None:
-        """One launch."""
+        """One launch a band, after those that fill its masks where there are several."""
         frame = resources.frame
         emission = resources.channel("emission", wp.vec3)
-        inputs = [
-            frame.views,
-            frame.values,
-            resources.blocks,
-            self.gbuffer,
-            emission,
-            resources.channel("ambient_visibility", wp.float32),
-            resources.lights.staged,
-            self.masks,
-            FIRST,
-        ]
-        resources.program.launch(
-            self.kernel, len(self.layout.blocks) * 64, inputs, [self.out], block_dim=kernels.BLOCK_DIM, band=64
-        )
+        visibility = resources.channel("ambient_visibility", wp.float32)
+        for band, masks in zip(self.bands, self.masks, strict=True):
+            if self.culls:
+                fill_masks(resources, self.request, self.culling, masks, band)
+            blocks = resources.blocks[band.blocks]
+            lights = resources.lights.staged
+            resources.program.launch(
+                self.kernel,
+                (band.blocks.stop - band.blocks.start) * 64,
+                [frame.views, frame.values, blocks, self.gbuffer, emission, visibility, lights, masks, FIRST],
+                [self.out],
+                block_dim=kernels.BLOCK_DIM,
+                band=64,
+            )
 
     def bytes_moved(self) -> int:
-        """G-buffer in, radiance out."""
+        """G-buffer in, radiance out; and the masks that are filled here."""
         read = 4 + sum(
             wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
         )
         read += 4 * ("ambient_visibility" in self.reads())
-        written = sum(wp.types.type_size_in_bytes(b.dtype) for b in self.writes().values())
-        return self.layout.pixels * (read + written) if needs_gbuffer(self.request) else 0
+        written = sum(wp.types.type_size_in_bytes(b.dtype) for b in all_writes(self).values())
+        masks = len(self.layout.tiles) * mask_words(self.request)[0] * 4 if self.culls else 0
+        return self.layout.pixels * (read + written) + masks
