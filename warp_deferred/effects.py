@@ -75,8 +75,15 @@ def _ambient_visibility(request: Request) -> Verdict:
     return Verdict(request.features.ambient, f"ambient light is {'not ' * request.features.ambient}zero")
 
 
+def _points(request: Request) -> Verdict:
+    count = request.features.bound_meshes
+    reason = f"{count} mesh{'es take' if count > 1 else ' takes'} points from arrays"
+    return Verdict(count > 0, reason if count else "no mesh takes its points from an array")
+
+
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
+    Effect("points", "", _points, quiet=True),
     Effect("ambient_visibility", "resolve", _ambient_visibility),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from .clustering import CLUSTER_SIZE
 from .scene import Scene
 
 __all__ = ["Features"]
@@ -29,6 +30,9 @@ class Features:
         extra: Some material needs metalness, occlusion or a specular colour in the G-buffer.
         ambient: Ambient light is not zero.
         infinite_lights: Lights without a range, which are in every tile.
+        bound_meshes: Meshes whose points come from bound arrays.
+        bound_vertices: Vertices of these.
+        bound_clusters: Most clusters these may have.
     """
 
     models: int
@@ -42,6 +46,9 @@ class Features:
     extra: bool
     ambient: bool
     infinite_lights: int
+    bound_meshes: int = 0
+    bound_vertices: int = 0
+    bound_clusters: int = 0
 
     @classmethod
     def of(cls, scene: Scene) -> Features:
@@ -55,6 +62,7 @@ class Features:
         for k, (_, group) in enumerate(scene.lights.groups()):
             kinds |= (len(group) > 0) << k
         local = (scene.lights.point, scene.lights.spot)
+        bound = [mesh for binding in scene.point_bindings for mesh in binding.meshes]
         emits = [max(m.emissive) > 0.0 for m in materials]
         return cls(
             models=models or 1,
@@ -68,4 +76,7 @@ class Features:
             extra=models > 1 or any(m.occlusion_texture is not None for m in materials),
             ambient=max(scene.environment.ambient) > 0.0,
             infinite_lights=scene.lights.infinite_count(),
+            bound_meshes=len(bound),
+            bound_vertices=sum(len(m.positions) for m in bound),
+            bound_clusters=sum(-(-len(m.triangles) // CLUSTER_SIZE) for m in bound),
         )

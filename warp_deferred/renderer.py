@@ -281,6 +281,8 @@ class Renderer:
         elif self._revision != scene.revision:
             device_scene.update_transforms(scene)
             self._revision = scene.revision
+        if device_scene.points is not None:
+            device_scene.points.stage(scene.point_bindings)
         if len(scene.lights):
             self._plan.resources.lights.update(scene.lights)
 

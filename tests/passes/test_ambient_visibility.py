@@ -183,7 +183,7 @@ def test_only_what_it_needs_runs_for_its_output_alone(device):
 def test_explain_says_why(device):
     scene = gallery()
     for sets, ambient, word in (
-        ((), 0.1, "ambient light is not zero"), ((), 0.0, "no ambient light"), (("rung=off",), 0.1, "off in the"),
+        ((), 0.1, "ambient light is not zero"), ((), 0.0, "ambient light is zero"), (("rung=off",), 0.1, "rung is off"),
     ):  # fmt: skip
         scene.environment = wd.Environment(ambient=(ambient,) * 3)
         settings = wd.Settings().with_values([f"ambient_visibility.{s}" for s in sets])

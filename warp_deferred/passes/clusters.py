@@ -28,8 +28,8 @@ class ClustersPass(Pass):
         return "the scene has no triangles"
 
     def reads(self) -> tuple[str, ...]:
-        """Nothing but the scene."""
-        return ()
+        """Nothing but the scene, whose bound points must be up to date."""
+        return ("points",) if self.request.features.bound_meshes else ()
 
     def writes(self) -> dict[str, Buffer]:
         """Pairs and work list."""
