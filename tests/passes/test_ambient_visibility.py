@@ -6,7 +6,7 @@ same bound; test_ambient_visibility_rungs.py compares the rungs with the referen
 
 import numpy as np
 import pytest
-from builders import Spy, assert_same, box, gallery, grid, images, room, tilt
+from builders import Spy, assert_same, box, gallery, grid, images, room, sphere, tilt
 from test_views import cut, run_views
 from visibility_scenes import MATERIAL, crease_closed_form, crease_profile, plane_scene, render, visibility
 
@@ -149,6 +149,15 @@ def test_ambient_light_alone_is_what_visibility_dims(device):
     expected = plain * image["ambient_visibility"][..., None]
     assert np.abs(image["color"] - expected)[seen].max() <= 1e-7
     assert image["ambient_visibility"].min() < 0.8
+
+
+@pytest.mark.parametrize("rung", ["ssao", "gtao_half", "gtao", "ray_traced"])
+def test_a_coarse_ball_does_not_block_itself(rung, device):
+    """Facets lie below the smooth normals that shading sees, by up to 8 degrees here: hardly any light may be lost."""
+    scene = wd.Scene()
+    scene.add(sphere(12, 1.0), material=MATERIAL)
+    scene.camera = wd.Camera.look_at((0.0, 0.0, 4.0), (0.0, 0.0, 0.0))
+    assert visibility(scene, f"rung={rung}", size=(48, 48), device=device).min() >= 0.98
 
 
 def passes(renderer):
