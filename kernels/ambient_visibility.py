@@ -105,7 +105,7 @@ def fast_root(x: wp.float32):
 
 @wp.func
 def fast_acos(x: wp.float32):
-    """Angle of a cosine in [-1, 1] within 7e-5; acos(-x) is pi - acos(x) to the bit before the subtraction rounds.
+    """Angle of a cosine in [-1, 1] within 8e-5; acos(-x) is pi - acos(x) to the bit before the subtraction rounds.
 
     Source: Abramowitz and Stegun 1964, 4.4.45.
     """
