@@ -264,3 +264,11 @@ class Spy:
         """Fail if anything was counted."""
         seen = {"modules": self.loaded, "kernels": self.kernels, "allocations": self.allocated, "plans": self.plans}
         assert not any(seen.values()), seen
+
+
+def spied(renderer: Any, *cameras: Any) -> Any:
+    """Render a frame that must make nothing new; read it back afterwards, which on CUDA allocates on the host."""
+    with Spy() as spy:
+        frame = renderer.render(*cameras)
+    spy.assert_nothing()
+    return frame
