@@ -55,7 +55,8 @@ def test_angles_are_within_their_bound_and_symmetric(device):
     wp.launch(acos_kernel, len(x), [wp.array(x, dtype=wp.float32, device=device)], [out], device=device)
     angle = out.numpy().astype(float)
     assert np.abs(angle - np.arccos(x.astype(float))).max() <= 8e-5
-    assert np.abs(angle + angle[::-1] - np.pi).max() <= 1e-4 and angle[-1] == 0.0
+    # At 0 itself both sides meet within twice the bound.
+    assert np.abs(angle + angle[::-1] - np.pi)[x != 0.0].max() <= 1e-6 and angle[-1] == 0.0
     assert np.diff(angle).max() <= 0.0
 
 
