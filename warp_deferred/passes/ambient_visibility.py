@@ -119,8 +119,8 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
 
     def bytes_moved(self) -> int:
-        """Depth and normals in, visibility out; between them the pyramid and, three times each way, words."""
+        """Depth and normals in, visibility out; between them the pyramid, and words four times each way, at half size five."""
         if self.rung() == "ray_traced":
             return self.layout.pixels * 12
-        words = (4 + 24 + 12) * 0.25 + 8 if self.half else 4 + 16
-        return int(self.layout.pixels * (4 + 1.33 + words + 4))
+        words = (20 + 20) * 0.25 + 8 if self.half else 16 + 16
+        return int(self.layout.pixels * (8 + 1.33 + words + 4))
