@@ -1,7 +1,7 @@
 """Ambient visibility: closed forms, neutral cases, borders, bad numbers, and what it must not touch.
 
-Hard cases A1 to A4 and P11 for `gtao` and `gtao_half`; test_ambient_visibility_rungs.py has the other rungs, and compares
-all with the reference.
+Hard cases A1 to A4 and P11 for `gtao` and `gtao_half`; test_ambient_visibility_rungs.py has the other rungs and
+compares all with the reference.
 """
 
 import numpy as np

@@ -119,7 +119,7 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
 
     def bytes_moved(self) -> int:
-        """Depth and normals in, visibility out; between them the pyramid, and words four times each way, at half size five."""
+        """Depth and normals in, visibility out; the pyramid; words four times each way, at half size five."""
         if self.rung() == "ray_traced":
             return self.layout.pixels * 12
         words = (20 + 20) * 0.25 + 8 if self.half else 16 + 16
