@@ -24,15 +24,15 @@ BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
 BOUNDS = (64, 18)
 OUTPUTS = ("color", "diffuse", "specular", "light_count", "bright")
-#: (codec, models, kinds, polynomial, emissive, outputs): what CI compiles.
+#: (codec, models, kinds, polynomial, emissive, outputs, visible): what CI compiles.
 VARIANTS = [
-    (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count")),
-    (("compact", "oct24", True), 8, 3, False, True, ()),
-    (("compact", "oct24", True), 8, 3, False, True, ("bright",)),
-    (("compact", "oct24", True), 8, 4, False, False, ()),
-    (("compact", "oct24", False), 1, 1, False, False, ()),
-    (("compact", "oct24", False), 1, 0, False, False, ()),
-    (("full", "float32", True), 15, 7, True, True, ("color",)),
+    (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count"), True),
+    (("compact", "oct24", True), 8, 3, False, True, (), True),
+    (("compact", "oct24", True), 8, 3, False, True, ("bright",), True),
+    (("compact", "oct24", True), 8, 4, False, False, (), False),
+    (("compact", "oct24", False), 1, 1, False, False, (), False),
+    (("compact", "oct24", False), 1, 0, False, False, (), False),
+    (("full", "float32", True), 15, 7, True, True, ("color",), False),
 ]
 
 
@@ -51,7 +51,7 @@ class ShadeTarget:
 
 @functools.cache
 def make_shade_kernel(
-    codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...]
+    codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...], visible: bool
 ):
     """Kernel that lights the G-buffer.
 
@@ -62,6 +62,7 @@ def make_shade_kernel(
         polynomial: Some light has the polynomial fall-off.
         emissive: Some material emits.
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
+        visible: Ambient light is multiplied by the ambient visibility; else nothing reads it.
     """
     decode = make_gbuffer_codec(*codec)[1]
     view_lobe, reflect = make_reflectance(models)
@@ -97,6 +98,7 @@ def make_shade_kernel(
         # In
         gbuffer: GBuffer,
         emission: wp.array[wp.vec3],
+        visibility: wp.array[wp.float32],
         lights: Lights,
         masks: LightMasks,
         # Params
@@ -151,7 +153,10 @@ def make_shade_kernel(
                                 count += 1
         albedo = diffuse_albedo(s)
         diffuse = wp.cw_mul(diffuse, albedo * INVERSE_PI)
-        total = diffuse + specular + wp.cw_mul(albedo, values[0].ambient) * s.occlusion
+        ambient = wp.cw_mul(albedo, values[0].ambient) * s.occlusion
+        if wp.static(visible):
+            ambient = ambient * visibility[i]
+        total = diffuse + specular + ambient
         if wp.static(emissive):
             if (s.flags & FLAG_EMISSIVE) != 0:
                 total += emission[i]
