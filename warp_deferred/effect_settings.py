@@ -51,8 +51,19 @@ class AntiAliasingSettings(Record):
     The samples are averaged with equal weights in linear radiance before exposure and tone mapping: `color`, `display`,
     `diffuse`, `specular` and `alpha` (then the share of the pixel that is covered). The other outputs stay those of the
     pixel's centre, and asking for one of them takes one more run of the sample part. A sample that is very bright
-    stays very bright in the average.
+    stays very bright in the average. The cheapest rung, fxaa, takes no samples: it looks for edges in the picture and
+    changes `display` alone.
+
+    What is left of the error of `off` against 256 samples, at most, as root mean square of linear light and as mean
+    FLIP of the picture:
+
+    | | fxaa | samples_4 | samples_16 | samples_64 |
+    |---|---|---|---|---|
+    | straight edges of any slope | 0.7 | 0.45 | 0.2 | 0.1 |
+    | a built-in scene, with details below a pixel | 0.9 | 0.6 | 0.3 | 0.15 |
     """
 
-    rung: Literal["off", "samples_4", "samples_16", "samples_64"] = "off"
-    """samples_N: N points in every pixel, well spread; time grows by what precedes the picture, memory does not."""
+    rung: Literal["off", "fxaa", "samples_4", "samples_16", "samples_64"] = "off"
+    """fxaa: one pass over the picture, 8 bytes a pixel, and 4 of memory; edges along an axis stay sharp, details that
+    the pixels' centres miss stay missing. samples_N: N points in every pixel, well spread; time grows by what precedes
+    the picture, memory does not."""

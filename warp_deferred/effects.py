@@ -81,6 +81,13 @@ def _points(request: Request) -> Verdict:
     return Verdict(count > 0, reason if count else "no mesh takes its points from an array")
 
 
+def _smoothed(request: Request) -> Verdict:
+    rung = request.settings.anti_aliasing.rung
+    if rung == "fxaa" and "display" not in request.outputs:
+        return Verdict(False, "no output asked for is a picture")
+    return Verdict(rung == "fxaa", f"anti_aliasing.rung={rung}")
+
+
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
     Effect("points", "", _points, quiet=True),
@@ -89,6 +96,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
     Effect("accumulate", "shade", _sampled, "sampling"),
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
+    Effect("anti_aliasing", "display", _smoothed),
 )
 
 

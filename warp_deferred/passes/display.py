@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .. import effects
 from ..kernels import color as color_kernels
 from ..kernels import display as kernels
 from ..program import FIRST
@@ -11,7 +12,10 @@ from ..resources import Resources
 from .base import Buffer, Pass
 from .image import float_image, image_bytes, make_image
 
-__all__ = ["DisplayPass"]
+__all__ = ["ALIASED", "DisplayPass"]
+
+#: Channel of the picture where a later pass makes the public one of it.
+ALIASED = "display_aliased"
 
 
 class DisplayPass(Pass):
@@ -30,9 +34,14 @@ class DisplayPass(Pass):
         """Tone curve."""
         return self.request.settings.display.tone_mapping
 
+    @property
+    def written(self) -> str:
+        """Name of the channel it writes."""
+        return ALIASED if effects.called_for(self.request, "anti_aliasing") else "display"
+
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
-        return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
+        return {self.written: Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernel, upload the thresholds."""
@@ -47,7 +56,7 @@ class DisplayPass(Pass):
             self.kernel,
             len(self.layout.blocks) * 64,
             inputs,
-            [resources.channels["display"]],
+            [resources.channels[self.written]],
             block_dim=kernels.BLOCK_DIM,
             band=64,
         )
