@@ -10,7 +10,8 @@ smaller than that, such as lone pixels and lines.
 Departures, each for exactness. Ends are looked for pixel by pixel, 16 each way. A step between rows lies at the border
 of two pixels, so an end k pixels away is k - 1/2 from the centre; then an edge whose steps are found is mixed by its
 exact mean coverage. The low pass counts only past what an edge along an axis gives (a third of the contrast); from
-there its square root is taken, which is our fit to the mean coverage at stairs of one pixel, lines and lone pixels.
+there it grows as a square root, like the mean coverage at stairs of one pixel, lines and lone pixels, but to a quarter
+and not to the half that would fit them: a lone pixel may as well be texture.
 Luma is that of the codes (Rec. 709 weights in 256ths), so every decision is made in integers and is the same on every
 device; colours are mixed in linear light and encoded as display does.
 
@@ -38,12 +39,12 @@ BLOCK_DIM = 64
 ALPHA_BITS = wp.constant(wp.uint32(0xFF000000))
 #: Pixels each way within which an end of an edge is looked for.
 STEPS = wp.constant(16)
-#: Contrast below which nothing is done, in 256ths of a code: 8 codes; darker than that nobody sees it.
-LEAST_CONTRAST = wp.constant(8 * 256)
-#: Contrast below which nothing is done: the brightest luma over this.
-RELATIVE_CONTRAST = wp.constant(8)
+#: Contrast below which nothing is done, in 256ths of a code: a twelfth of white, version 3.11's usual choice.
+LEAST_CONTRAST = wp.constant(21 * 256)
+#: Contrast below which nothing is done: the brightest luma over this; likewise.
+RELATIVE_CONTRAST = wp.constant(6)
 #: Most that the low pass may mix in.
-MOST_LOW_PASS = wp.constant(wp.float32(0.5))
+MOST_LOW_PASS = wp.constant(wp.float32(0.25))
 
 
 @wp.func
