@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from builders import LAYERS, Spy, assert_same, gallery, images
+from builders import LAYERS, assert_same, gallery, images, spied
 from reference import color as reference
 from smoothing import smooth
 
@@ -67,10 +67,8 @@ def test_a_second_frame_makes_nothing_new_and_graphs_equal_direct_runs(device):
     scene = gallery()
     renderer = renderer_of(device, scene=scene)
     first = images(renderer.render())
-    with Spy() as spy:
-        scene.camera = wd.Camera.look_at((0.3, 1.9, 4.6), (0.0, 0.7, 0.0))
-        moved = images(renderer.render())
-    spy.assert_nothing()
+    scene.camera = wd.Camera.look_at((0.3, 1.9, 4.6), (0.0, 0.7, 0.0))
+    moved = images(spied(renderer))
     assert not np.array_equal(first["display"], moved["display"])
     assert_same(images(renderer_of(device, scene=scene).render()), moved)
     renderer.plan.outputs["display"].zero_()
