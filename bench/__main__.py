@@ -54,7 +54,7 @@ def _measure(
 
     # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
     wp.config.log_level = wp.LOG_WARNING
-    changes = [*(SPINE if name != "effects" else ()), *(sets or ())]
+    changes = [*(SPINE if name not in ("effects", "effect_images") else ()), *(sets or ())]
     settings = Settings().with_values(changes)
     try:
         chosen = wp.get_device(device)

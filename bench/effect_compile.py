@@ -94,6 +94,8 @@ def main() -> None:
         found[rung] = _modules(renderer)
     plain = found.pop("off")
     times = {}
+    # The compiler's own start belongs to no effect: any kernel takes it.
+    _seconds(dict([next(iter(plain.items()))]), device)
     for rung, modules in found.items():
         new = {m: block for m, block in modules.items() if m not in plain}
         old = {m: block for m, block in plain.items() if m not in modules}
