@@ -61,6 +61,7 @@ class EffectCase:
         small: The same in few triangles, for quick runs; `source` if left out.
         free: Takes back what calls for it; None where only its rung does.
         idle: Leaves it called for with nothing to do on the device; None where nothing is decided there.
+        settings: Settings in force at every rung, as on the command line.
         moving: Whether the scene must move from frame to frame for the effect to have work.
         size: Size of the picture a strip is cut from [px].
         centre: Middle of the cut, as shares of width and height.
@@ -72,6 +73,7 @@ class EffectCase:
     small: str = ""
     free: Callable[[Scene], None] | None = None
     idle: Callable[[Scene], None] | None = None
+    settings: tuple[str, ...] = ()
     moving: bool = False
     size: tuple[int, int] = (480, 270)
     centre: tuple[float, float] = (0.5, 0.5)
@@ -82,7 +84,14 @@ class EffectCase:
 EFFECT_CASES: dict[str, EffectCase] = {
     case.effect: case
     for case in (
-        EffectCase("shadow", "shadows", free=lambda scene: _cast(scene, False), centre=(0.42, 0.55)),
+        # Frames are replayed: maps that are kept where nothing moves would never be drawn.
+        EffectCase(
+            "shadow",
+            "shadows",
+            free=lambda scene: _cast(scene, False),
+            settings=("shadow.keep_maps=false",),
+            centre=(0.42, 0.55),
+        ),
         EffectCase("ambient_visibility", "corner", free=_no_ambient),
         # Twenty stops down nothing exceeds the threshold: bloom is in the plan, and skipped on the device.
         EffectCase("bloom", "glow", free=_lens(bloom=0.0), idle=_lens(exposure=-20.0)),
@@ -134,9 +143,9 @@ def _moonlit(scene: Scene) -> None:
 
 def composite_cases(device_is_cuda: bool, *, quick: bool) -> tuple[CompositeCase, ...]:
     """List the frames with several effects that are timed on a kind of device."""
-    maps = ("shadow.directional_size=2048", "shadow.cascades=4", "shadow.rung=pcf", "shadow.point_size=512")
-    if quick or not device_is_cuda:
-        maps = ("shadow.directional_size=256", "shadow.cascades=4", "shadow.rung=pcf", "shadow.point_size=128")
+    wide, face = (2048, 512) if device_is_cuda and not quick else (256, 128)
+    maps = (f"shadow.directional_size={wide}", f"shadow.point_size={face}", "shadow.cascades=4", "shadow.rung=pcf",
+            "shadow.keep_maps=false")  # fmt: skip
     rest = ("ambient_visibility.rung=gtao", "bloom.rung=mip_chain")
     triangles, lights, casting = (500_000, 1000, 16) if device_is_cuda and not quick else (2000, 20, 2)
     sizes = {"1080p": (1920, 1080), "4k": (3840, 2160)} if device_is_cuda and not quick else {"small": (160, 90)}
@@ -152,4 +161,6 @@ def composite_cases(device_is_cuda: bool, *, quick: bool) -> tuple[CompositeCase
     title = f"{text}, {casting} shadowed point lights, {width}x{height}"
     case = CompositeCase(f"shadowed_points_{name}", title, f"{source}{casting}&mean=1", width, height)
     cases.append(dataclasses.replace(case, needs=("shadow",), change=lambda s: _cast(s, True), settings=maps))
+    kept = dataclasses.replace(cases[-1], name=f"kept_points_{name}", title=f"{title}, maps kept")
+    cases.append(dataclasses.replace(kept, settings=(*maps, "shadow.keep_maps=true")))
     return tuple(cases)

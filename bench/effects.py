@@ -85,6 +85,7 @@ def _ladder(
 ) -> list[Row]:  # fmt: skip
     """Rows of one effect: its rungs, then what it costs where it has no work."""
     size = case_size(device.is_cuda, quick)
+    settings = settings.with_values(list(case.settings))
     renderer = open_case(case, size, device)
     shared = {"effect": case.effect, "source": case.source, "width": size[0], "height": size[1]}
     rows, pictures, off = [], {}, None
