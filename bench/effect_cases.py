@@ -62,6 +62,7 @@ class EffectCase:
         free: Takes back what calls for it; None where only its rung does.
         idle: Leaves it called for with nothing to do on the device; None where nothing is decided there.
         settings: Settings in force at every rung, as on the command line.
+        small_settings: More of them, for quick runs.
         moving: Whether the scene must move from frame to frame for the effect to have work.
         size: Size of the picture a strip is cut from [px].
         centre: Middle of the cut, as shares of width and height.
@@ -74,6 +75,7 @@ class EffectCase:
     free: Callable[[Scene], None] | None = None
     idle: Callable[[Scene], None] | None = None
     settings: tuple[str, ...] = ()
+    small_settings: tuple[str, ...] = ()
     moving: bool = False
     size: tuple[int, int] = (480, 270)
     centre: tuple[float, float] = (0.5, 0.5)
@@ -90,8 +92,10 @@ EFFECT_CASES: dict[str, EffectCase] = {
             "shadows",
             free=lambda scene: _cast(scene, False),
             settings=("shadow.keep_maps=false",),
-            centre=(0.42, 0.55),
-        ),
+            small_settings=("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128"),
+            size=(720, 405),
+            centre=(0.56, 0.45),
+        ),  # fmt: skip
         EffectCase("ambient_visibility", "corner", free=_no_ambient),
         # Twenty stops down nothing exceeds the threshold: bloom is in the plan, and skipped on the device.
         EffectCase("bloom", "glow", free=_lens(bloom=0.0), idle=_lens(exposure=-20.0)),

@@ -26,8 +26,8 @@ def rungs_of(record: Record, effect: str) -> list[Row]:
 def ladder_table(record: Record, effect: str) -> str:
     """What each rung of an effect costs, and how far its picture is from the reference rung's."""
     columns = [
-        "rung", ">frame ms", ">5 % to 95 %", ">cost ms", ">must reach*", ">own passes ms", ">moved", ">of floor",
-        ">memory", ">compile s", ">RMSE", ">max", ">FLIP",
+        "rung", ">frame ms", ">5 % to 95 %", ">cost ms", ">must reach*", ">own passes ms", ">other passes ms",
+        ">moved", ">of floor", ">memory", ">compile s", ">RMSE", ">max", ">FLIP",
     ]  # fmt: skip
     lines = []
     for row in rungs_of(record, effect):
@@ -38,6 +38,7 @@ def ladder_table(record: Record, effect: str) -> str:
             "" if cost is None else f"**{milliseconds(cost)}**",
             "" if cost is None else verdict(record, cost, target),
             milliseconds(row["own.ms"]) if "own.ms" in row else "",
+            f"{milliseconds(row['shared.difference_ms'])} (`{row['shared.most']}`)" if "shared.most" in row else "",
             megabytes(row["own.bytes"]) if "own.bytes" in row else "",
             f"{row['own.times_floor']:.1f} x" if "own.times_floor" in row else "",
             megabytes(row["memory.added_bytes"]) if "memory.added_bytes" in row else "",
@@ -88,8 +89,8 @@ def effects_table(record: Record) -> str:
         parts.append(f"**{effect}** (`{rows[0]['source']}`, {size})\n\n{ladder_table(record, effect)}")
     legend = (
         "Cost: the frame's time less that of the frame with rung `off`; own passes: those only this frame has, each as "
-        "a graph of its own. Moved, of floor: bytes these passes must move, and their time over that of copying so "
-        "much. Memory: beside rung `off`. Compile: kernels only this frame has and, in brackets, those in whose place "
+        "a graph of its own; other passes: what it adds to those that run anyway, and to which one most. "
+        "Moved, of floor: bytes own passes must move, and their time over that of copying so much. Memory: beside rung `off`. Compile: kernels only this frame has and, in brackets, those in whose place "
         "some of them stand. Errors: of `display` in [0, 1] against the reference rung."
     )
     stated = "\\* stated for one H200 at 1920x1080."

@@ -60,8 +60,9 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
         if effect not in known:
             skip(f"{effect}: no such effect in this version")
             continue
-        if quick and case.small:
-            case = dataclasses.replace(case, source=case.small)
+        if quick:
+            more = case.settings + case.small_settings
+            case = dataclasses.replace(case, source=case.small or case.source, settings=more)
         try:
             rows += _ladder(case, known[effect], device, quick, settings, bandwidth, repeats, note, skip)
         except LoadError as error:
@@ -97,7 +98,7 @@ def _ladder(
         except Error as error:
             skip(f"{case.effect}.rung={rung}: {error}")
             continue
-        off = off or (row, plan, renderer.memory_report().total)
+        off = off or (row, plan)
         rows.append({"kind": "rung", **shared, "rung": rung, **row})
     reference = rungs[-1]
     for row in rows:
@@ -160,35 +161,49 @@ def own_passes(plan: Plan, off: Plan) -> list[str]:
 
 
 def _rung(
-    case: EffectCase, renderer: Renderer, settings: Settings, off: tuple[Row, Plan, int] | None, bandwidth: float,
+    case: EffectCase, renderer: Renderer, settings: Settings, off: tuple[Row, Plan] | None, bandwidth: float,
     repeats: int,
 ) -> tuple[Row, Plan]:  # fmt: skip
-    """Time one rung; `off` has the row, plan and bytes of rung `off`, None for that rung itself."""
+    """Time one rung; `off` has row and plan of rung `off`, None for that rung itself."""
     plan = plan_of(renderer, settings)
     if case.moving:
         _step(renderer, 1)
         plan = renderer.plan
     whole = _time(case, renderer, plan, repeats)
-    row: Row = whole.metrics("frame") | {"memory.bytes": renderer.memory_report().total}
+    row: Row = whole.metrics("frame") | {"memory.bytes": _held(renderer)}
+    times = _passes(plan, repeats)
+    row |= {f"pass.{name}.ms": round(value, 5) for name, value in times.items()}
     if off is None:
         return row, plan
-    other, off_plan, off_bytes = off
+    other, off_plan = off
     # Of figures with spreads of their own; below zero where the cost drowns in them.
     row["cost.difference_ms"] = round(whole.median - other["frame.ms"], 5)
-    row["memory.added_bytes"] = row["memory.bytes"] - off_bytes
+    row["memory.added_bytes"] = row["memory.bytes"] - other["memory.bytes"]
     row["samples"] = plan.replays
     names = own_passes(plan, off_plan)
-    if not names:
-        return row, plan
-    times = time_passes(plan.resources.program, repeats=repeats)
-    counts = {s.name: plan.replays if s.part == SAMPLE else 1 for s in plan.resources.program.sections}
-    moved = {report.name: report.bytes or 0 for report in plan.reports(measure=False) if report.runs}
-    for name in names:
-        row |= times[name].metrics(f"pass.{name}")
-    own = sum(times[name].median * counts[name] for name in names)
-    row["own.passes"] = " + ".join(names)
-    row |= {"own.ms": round(own, 5)} | floor("own", own, sum(moved[name] for name in names), bandwidth)
+    # What an effect adds to passes that run anyway: look-ups in shade, views in raster, more samples of all.
+    shared = {name: times[name] - other[f"pass.{name}.ms"] for name in times if f"pass.{name}.ms" in other}
+    row["shared.difference_ms"] = round(sum(shared.values()), 5)
+    row["shared.most"] = max(shared, key=lambda name: shared[name])
+    if names:
+        moved = {report.name: report.bytes or 0 for report in plan.reports(measure=False) if report.runs}
+        own = sum(times[name] for name in names)
+        row |= {"own.passes": " + ".join(names), "own.ms": round(own, 5)}
+        row |= floor("own", own, sum(moved[name] for name in names), bandwidth)
     return row, plan
+
+
+def _passes(plan: Plan, repeats: int) -> dict[str, float]:
+    """Milliseconds of each pass in a frame, over all its samples."""
+    program = plan.resources.program
+    counts = {s.name: plan.replays if s.part == SAMPLE else 1 for s in program.sections}
+    return {name: timing.median * counts[name] for name, timing in time_passes(program, repeats=repeats).items()}
+
+
+def _held(renderer: Renderer) -> int:
+    """Bytes on the device, what a rung keeps beside the scene's triangles included."""
+    memory = renderer.memory_report()
+    return memory.total + memory.scene
 
 
 def _error(shown: np.ndarray, reference: np.ndarray) -> dict[str, float]:
@@ -210,7 +225,7 @@ def _free(case: EffectCase, size: tuple[int, int], device: wp.Device, settings: 
     for chosen in (settings, at_rung(settings, case.effect, "off")):
         renderer = open_case(case, size, device, case.free)
         plan = plan_of(renderer, chosen)
-        figures.append((plan, _time(case, renderer, plan, repeats), renderer.memory_report().total))
+        figures.append((plan, _time(case, renderer, plan, repeats), _held(renderer)))
     (plan, whole, memory), (off_plan, off, off_memory) = figures
     row: Row = {"case": f"{case.effect}.free"} | whole.metrics("frame") | off.metrics("off")
     return row | {
