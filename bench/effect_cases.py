@@ -95,7 +95,7 @@ EFFECT_CASES: dict[str, EffectCase] = {
             small_settings=("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128"),
             size=(720, 405),
             centre=(0.56, 0.45),
-        ),  # fmt: skip
+        ),
         EffectCase("ambient_visibility", "corner", free=_no_ambient),
         # Twenty stops down nothing exceeds the threshold: bloom is in the plan, and skipped on the device.
         EffectCase("bloom", "glow", free=_lens(bloom=0.0), idle=_lens(exposure=-20.0)),

@@ -89,9 +89,10 @@ def effects_table(record: Record) -> str:
         parts.append(f"**{effect}** (`{rows[0]['source']}`, {size})\n\n{ladder_table(record, effect)}")
     legend = (
         "Cost: the frame's time less that of the frame with rung `off`; own passes: those only this frame has, each as "
-        "a graph of its own; other passes: what it adds to those that run anyway, and to which one most. "
-        "Moved, of floor: bytes own passes must move, and their time over that of copying so much. Memory: beside rung `off`. Compile: kernels only this frame has and, in brackets, those in whose place "
-        "some of them stand. Errors: of `display` in [0, 1] against the reference rung."
+        "a graph of its own; other passes: what it adds to those that run anyway, and to which one most. Moved, of "
+        "floor: bytes that own passes must move, and their time over that of copying so much. Memory: beside rung "
+        "`off`. Compile: kernels only this frame has and, in brackets, those in whose place some of them stand. "
+        "Errors: of `display` in [0, 1] against the reference rung."
     )
     stated = "\\* stated for one H200 at 1920x1080."
     counts = "Passes, launches, kernels, memory: how many more than the plan of the same scene with rung `off`."

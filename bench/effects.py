@@ -171,7 +171,8 @@ def _rung(
         plan = renderer.plan
     whole = _time(case, renderer, plan, repeats)
     row: Row = whole.metrics("frame") | {"memory.bytes": _held(renderer)}
-    times = _passes(plan, repeats)
+    # Passes are timed by replays, in which nothing moves.
+    times = {} if case.moving else _passes(plan, repeats)
     row |= {f"pass.{name}.ms": round(value, 5) for name, value in times.items()}
     if off is None:
         return row, plan
@@ -180,6 +181,8 @@ def _rung(
     row["cost.difference_ms"] = round(whole.median - other["frame.ms"], 5)
     row["memory.added_bytes"] = row["memory.bytes"] - other["memory.bytes"]
     row["samples"] = plan.replays
+    if not times:
+        return row, plan
     names = own_passes(plan, off_plan)
     # What an effect adds to passes that run anyway: look-ups in shade, views in raster, more samples of all.
     shared = {name: times[name] - other[f"pass.{name}.ms"] for name in times if f"pass.{name}.ms" in other}
