@@ -6,7 +6,7 @@ import inspect
 from pathlib import Path
 
 from warp_deferred import Settings
-from warp_deferred.effects import EFFECTS
+from warp_deferred.effects import EFFECTS, Effect
 
 from . import tables
 from .effect_images import strip_path, strip_rungs
@@ -44,10 +44,15 @@ def effects_page(records: dict[str, Record], images: Path) -> str:
     for name, record in records.items():
         suffix = name.removeprefix("effects").strip("_-")
         parts += _record(record, f" ({suffix})" if suffix else "", images)
-    listed = [f"- `{effect.name}`: comes {f'after `{effect.after}`' if effect.after else 'first'}" for effect in EFFECTS
-              if not effect.quiet]  # fmt: skip
+    listed = [f"- `{effect.name}`, {_place(effect)}" for effect in EFFECTS if not effect.quiet]
     parts += ["## Passes of effects", "In frame order:", "\n".join(listed)]
     return "\n\n".join(parts) + "\n"
+
+
+def _place(effect: Effect) -> str:
+    if effect.before:
+        return f"before `{effect.before}`"
+    return f"after `{effect.after}`" if effect.after else "first"
 
 
 def _record(record: Record, suffix: str, images: Path) -> list[str]:

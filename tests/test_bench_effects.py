@@ -121,6 +121,14 @@ def test_what_is_not_called_for_adds_nothing_to_the_plan(result):
         assert [row[f"free.{key}"] for key in ("passes", "launches", "kernels", "bytes")] == [0, 0, 0, 0]
 
 
+def test_an_effect_with_nothing_to_do_is_skipped_on_the_device(result):
+    rows = [row for row in result["rows"] if "idle.active" in row]
+    assert [row["effect"] for row in rows] == [case.effect for case in READY if case.idle is not None]
+    for row in rows:
+        assert row["idle.active"] == ""
+        assert row["idle.difference_ms"] == pytest.approx(row["frame.ms"] - row["off.ms"], abs=2e-5)
+
+
 def test_nothing_is_left_out_in_silence(result):
     told = " ".join(result["skipped"])
     shown = set(effect_tables.effect_names(result))
