@@ -241,13 +241,15 @@ def _effects(record: Record) -> Figure:
         axes.axhline(rows[0]["error.rmse"], color=PALE, linestyle=":", linewidth=1.2)
         axes.plot([p[0] for p in points], [p[1] for p in points], "o", color=COLORS[0], markersize=5)
         for cost, error, rung in points:
-            axes.annotate(rung, (cost, error), xytext=(0, 5), textcoords="offset points", fontsize=8, ha="center")
-        axes.set(xscale="log", title=name, xlabel="cost [ms]", xlim=(least / 1.8, max(p[0] for p in points) * 1.8))
-        axes.set_ylim(0.0, 1.25 * max(row["error.rmse"] for row in rows) or 1.0)
+            axes.annotate(rung, (cost, error), xytext=(6, -3), textcoords="offset points", fontsize=8)
+        axes.set(xscale="log", title=name, xlabel="cost [ms]", xlim=(least / 1.8, max(p[0] for p in points) * 12.0))
+        high = max(row["error.rmse"] for row in rows) or 1.0
+        axes.set_ylim(-0.12 * high, 1.15 * high)
         axes.minorticks_off()
+        axes.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{v:g}"))
     for axes in panels[len(names) :]:
         axes.set_visible(False)
-    panels[0].set_ylabel("RMSE of `display` against the reference")
+    panels[0].set_ylabel("RMSE of display")
     figure.suptitle(f"Effects, dotted: rung off: {_device(record)}", fontsize=10, fontweight="bold")
     return figure
 
