@@ -15,7 +15,17 @@ from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
 from .intrinsics import load_vec4, load_vec4i, lowest_bit, pack_half4
 from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
+from .structs import (
+    MODULE_OPTIONS,
+    ORTHOGRAPHIC,
+    PIXEL_BLOCK_AREA,
+    FrameValues,
+    GBuffer,
+    LightMasks,
+    Lights,
+    ShadowMaps,
+    View,
+)
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -23,7 +33,7 @@ BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
 BOUNDS = (64, 18)
 OUTPUTS = ("color", "diffuse", "specular", "light_count")
-#: (codec, models, kinds, polynomial, emissive, outputs): what CI compiles.
+#: (codec, models, kinds, polynomial, emissive, outputs, shadow): what CI compiles.
 VARIANTS = [
     (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count")),
     (("compact", "oct24", True), 8, 3, False, True, ()),
@@ -31,6 +41,10 @@ VARIANTS = [
     (("compact", "oct24", False), 1, 1, False, False, ()),
     (("compact", "oct24", False), 1, 0, False, False, ()),
     (("full", "float32", True), 15, 7, True, True, ("color",)),
+    (("compact", "oct24", True), 8, 7, False, False, (), ("hard", 7, 4, 3.0)),
+    (("compact", "oct24", True), 8, 4, False, False, (), ("pcf", 4, 4, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), ("pcf", 7, 4, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), ("pcss", 7, 4, 40.0)),
 ]
 
 
@@ -66,9 +80,21 @@ def to_half(v: wp.vec3):
     return pack_half4(c[0], c[1], c[2])
 
 
+@wp.func
+def pixel_size(view: View, depth: wp.float32):
+    """Side of a pixel at a depth [m]."""
+    return wp.where(view.projection == ORTHOGRAPHIC, 1.0, depth) / view.scale[0]
+
+
 @functools.cache
 def make_shade_kernel(
-    codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...]
+    codec: tuple,
+    models: int,
+    kinds: int,
+    polynomial: bool,
+    emissive: bool,
+    outputs: tuple[str, ...],
+    shadow: tuple | None = None,
 ):
     """Kernel that lights the G-buffer.
 
@@ -79,10 +105,16 @@ def make_shade_kernel(
         polynomial: Some light has the polynomial fall-off.
         emissive: Some material emits.
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
+        shadow: Arguments of `make_shadow_factor`; None where no light casts.
     """
     decode = make_gbuffer_codec(*codec)[1]
     view_lobe, reflect = make_reflectance(models)
     towards, arrive = make_arrive(kinds, polynomial)
+    shadow_factor = None
+    if shadow is not None:
+        from .shadow_lookup import make_shadow_factor
+
+        shadow_factor = make_shadow_factor(*shadow)
 
     @wp.func
     def write(i: wp.int32, out: ShadeTarget, total: wp.vec3, diffuse: wp.vec3, specular: wp.vec3, count: wp.int32):
@@ -108,6 +140,7 @@ def make_shade_kernel(
         emission: wp.array[wp.vec3],
         lights: Lights,
         masks: LightMasks,
+        shadows: ShadowMaps,
         # Params
         first: wp.int32,
         # Out
@@ -150,6 +183,10 @@ def make_shade_kernel(
                         facing = wp.dot(s.normal, to_light)
                         if facing > 0.0:
                             a = arrive(lights, light, place[3], to_light)
+                            if wp.static(shadow is not None):
+                                if a.power > 0.0:
+                                    pixel = pixel_size(view, depth)
+                                    a.power *= shadow_factor(shadows, block[0], light, point, to_light, s.normal, pixel)
                             if a.power > 0.0:
                                 n_dot_l = facing * a.inverse
                                 c = load_vec4(lights.color, light)

@@ -29,6 +29,7 @@ class Features:
         extra: Some material needs metalness, occlusion or a specular colour in the G-buffer.
         ambient: Ambient light is not zero.
         infinite_lights: Lights without a range, which are in every tile.
+        casters: Lights of each kind (point, spot, directional) that declare a shadow.
     """
 
     models: int
@@ -42,6 +43,7 @@ class Features:
     extra: bool
     ambient: bool
     infinite_lights: int
+    casters: tuple[int, int, int]
 
     @classmethod
     def of(cls, scene: Scene) -> Features:
@@ -68,4 +70,5 @@ class Features:
             extra=models > 1 or any(m.occlusion_texture is not None for m in materials),
             ambient=max(scene.environment.ambient) > 0.0,
             infinite_lights=scene.lights.infinite_count(),
+            casters=tuple(int(np.count_nonzero(group.casts_shadow)) for _, group in scene.lights.groups()),
         )

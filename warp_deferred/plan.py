@@ -25,15 +25,17 @@ from .passes.lights import LightsPass
 from .passes.raster import RasterPass, large_stored
 from .passes.resolve import ResolvePass
 from .passes.shade import ShadePass
+from .passes.shadow import ShadowPass
 from .program import Program
 from .resources import Resources
+from .shadow_slots import ShadowTable
 from .views import ViewLayout, ViewPacker
 
 __all__ = ["PASSES", "PassReport", "Plan"]
 
 #: Every pass, in frame order.
 PASSES: tuple[type[Pass], ...] = (
-    ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
+    ShadowPass, ClustersPass, RasterPass, ResolvePass, LightsPass, LightCullingPass, ShadePass, DisplayPass,
 )  # fmt: skip
 ALIGNMENT = 256
 #: Elements of one device array.
@@ -86,7 +88,7 @@ class Plan:
         # Nothing is allocated before this line: what cannot be held has been refused.
         with enough_memory("frame", self.bytes, scene.device, "render smaller or fewer views, or fewer outputs"):
             program = Program(scene.device, request.threads)
-            self.resources = Resources.make(scene, lights(), self.layout, program)
+            self.resources = Resources.make(scene, lights(), self.layout, program, request.shadow_slots)
             self._allocate(buffers, places, total)
             for stage in self.passes:
                 stage.prepare(self.resources)
@@ -119,6 +121,8 @@ class Plan:
             return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
         if stage.name == "clusters":
             return "the scene has no triangles"
+        if stage.name == "shadow":
+            return stage.why_not()
         return "no output asked for needs it"
 
     def _verify(self) -> None:
@@ -154,6 +158,8 @@ class Plan:
                 if buffer.dtype is not None:
                     buffers[name], born[name] = buffer, max(0, k - buffer.early) if self.request.share_memory else 0
                     dies[name] = len(self.passes) if buffer.lasting or not self.request.share_memory else k
+                    if buffer.persistent:
+                        born[name], dies[name] = 0, len(self.passes)
             for name in stage.reads():
                 dies[name] = max(dies.get(name, k), k)
         self.memory = {n: _padded(b.count * wp.types.type_size_in_bytes(b.dtype)) for n, b in buffers.items()}
@@ -186,6 +192,12 @@ class Plan:
         # The memory lives for as long as someone holds the image, even when the plan is gone.
         image._ref = array
         return image
+
+    def stage_shadows(self, table: ShadowTable, ranges: list[tuple[int, ...]]) -> None:
+        """Upload which light each shadow map belongs to, and what every map draws."""
+        for stage in self.passes:
+            if isinstance(stage, ShadowPass):
+                stage.stage(self.resources, self.packer, table, ranges)
 
     def replay(self) -> None:
         """Run the frame; the first call on CUDA captures it."""

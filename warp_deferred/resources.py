@@ -17,21 +17,27 @@ __all__ = ["FrameBlock", "Resources"]
 
 
 class FrameBlock:
-    """Everything the host changes every frame, in one block and one copy: views, then frame values.
+    """Everything the host changes every frame, in one block and one copy: frame values, then the cameras' views.
 
-    The pinned copies form a ring, so that the host can write the next frame while the device still reads the last.
+    Behind them on the device lie the views of shadow maps, which kernels write. The pinned copies form a ring, so that
+    the host can write the next frame while the device still reads the last.
     """
 
     RING_BYTES = 1 << 19
 
-    def __init__(self, views: int, device: wp.Device) -> None:
+    def __init__(self, views: int, slots: int, device: wp.Device) -> None:
         view_size = np.dtype(structs.View.numpy_dtype()).itemsize
         value_size = np.dtype(structs.FrameValues.numpy_dtype()).itemsize
-        self.values_offset = views * view_size
-        self.size = self.values_offset + value_size
+        # Views hold float64.
+        self.values_offset, self.views_offset = 0, -(-value_size // 8) * 8
+        self.size = self.views_offset + views * view_size
         self.device = device
-        self._block = wp.zeros(self.size, dtype=wp.uint8, device=device)
-        self.views = wp.array(ptr=self._block.ptr, dtype=structs.View, shape=(views,), device=device, copy=False)
+        self._block = wp.zeros(self.size + slots * view_size, dtype=wp.uint8, device=device)
+        self.views = wp.array(
+            ptr=self._block.ptr + self.views_offset, dtype=structs.View, shape=(views + slots,), device=device,
+            copy=False,
+        )  # fmt: skip
+        self._slots_offset = self.size
         self.values = wp.array(
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
@@ -52,9 +58,13 @@ class FrameBlock:
             wp.synchronize_event(event)
         return self._memory[self._next]
 
+    def write_slots(self, rows: np.ndarray) -> None:
+        """Send what does not change from frame to frame about the views of shadow maps."""
+        wp.copy(self._block, wp.array(rows, dtype=wp.uint8, device="cpu", copy=False), dest_offset=self._slots_offset)
+
     def upload(self) -> None:
         """Send the block written since `begin`."""
-        wp.copy(self._block, self._slots[self._next])
+        wp.copy(self._block, self._slots[self._next], count=self.size)
         if self.device.is_cuda:
             event = self._events[self._next] or wp.Event(self.device)
             wp.get_stream(self.device).record_event(event)
@@ -93,11 +103,14 @@ class Resources:
     program: Program
 
     @classmethod
-    def make(cls, scene: DeviceScene, lights: LightStore, layout: ViewLayout, program: Program) -> Resources:
-        """Upload the layout's tables."""
+    def make(
+        cls, scene: DeviceScene, lights: LightStore, layout: ViewLayout, program: Program, slots: int = 0
+    ) -> Resources:
+        """Upload the layout's tables; the last `slots` views are shadow maps."""
         device = scene.device
         tables = [table_array(t, device) for t in (layout.blocks, layout.tiles, layout.coarse_tiles, layout.bin_tiles)]
-        return cls(device, scene, lights, FrameBlock(len(layout.sizes), device), layout, *tables, {}, program)
+        frame = FrameBlock(len(layout.sizes) - slots, slots, device)
+        return cls(device, scene, lights, frame, layout, *tables, {}, program)
 
     def channel(self, name: str, dtype: type) -> wp.array:
         """The array of a channel, or a one-element array where the plan has none (never touched by the kernel)."""

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from .effect_settings import ShadowSettings
 from .records import Record
 
 __all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
@@ -69,6 +70,8 @@ class Settings(Record):
     """G-buffer codecs."""
     light_culling: LightCullingSettings = LightCullingSettings()
     """Tiles and light masks."""
+    shadow: ShadowSettings = ShadowSettings()
+    """Shadows."""
     shade: ShadeSettings = ShadeSettings()
     """Lighting."""
     display: DisplaySettings = DisplaySettings()

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
 
-from .camera import Camera
+from .camera import IDENTITY, Camera
 from .checks import check_count
 from .errors import CapacityError
 from .kernels import structs
@@ -160,6 +161,28 @@ class ViewPacker:
                 camera.far, 2.0**camera.exposure, PROJECTIONS[camera.projection], self._cull, int(depth_clamp),
                 int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], 0,
             )  # fmt: skip
+
+    def slot_rows(self, first: int, worlds: Sequence[int], ranges: Sequence[tuple[int, ...]], cull: str) -> np.ndarray:
+        """Views of shadow maps, all but where they stand: the device writes that before every frame.
+
+        Args:
+            first: View of the first map.
+            worlds: World of each map.
+            ranges: For each map what `write` takes for a view.
+            cull: Faces that are dropped.
+
+        Returns:
+            The structs' bytes, uint8.
+        """
+        rows = bytearray(self.size * len(worlds))
+        for k, (world, own) in enumerate(zip(worlds, ranges, strict=True)):
+            size = self.layout.sizes[first + k]
+            offset, pitch, *tables = self.layout.fields[first + k]
+            self._pack(
+                rows, k * self.size, 0.0, 0.0, 0.0, offset, *IDENTITY, 1.0, -1.0, 0.5 * size.width, 0.5 * size.height,
+                1.0, 1.0, 1.0, 0, CULL_MODES[cull], 1, 1, world, pitch, size.width, size.height, *tables, *own, 1,
+            )  # fmt: skip
+        return np.frombuffer(rows, np.uint8)
 
 
 def table_array(table: np.ndarray, device: wp.Device) -> wp.array:

@@ -37,6 +37,7 @@ class Request:
         scene_key: Identity of the device scene the structs point to.
         threads: Host threads on the CPU; 0 on CUDA.
         share_memory: Let buffers whose lives do not overlap share memory.
+        shadow_slots: Shadow maps: the last views, of depth only.
     """
 
     outputs: frozenset[str]
@@ -50,6 +51,12 @@ class Request:
     scene_key: int
     threads: int
     share_memory: bool = True
+    shadow_slots: int = 0
+
+    @property
+    def cameras(self) -> int:
+        """Views that the caller asked for."""
+        return len(self.sizes) - self.shadow_slots
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,6 +66,8 @@ class Buffer:
     dtype: Any
     count: int
     lasting: bool = False
+    #: It keeps its memory, and so what it holds, from frame to frame.
+    persistent: bool = False
     #: Its memory must be free one pass earlier already: its pass clears it beside the pass before.
     early: bool = False
     #: Element type users see, where kernels see another one of the same size.

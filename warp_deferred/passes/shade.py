@@ -13,6 +13,7 @@ from ..resources import Resources
 from .base import Buffer, Pass
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
+from .shadow import make_shadow_maps, shadow_arguments, shadow_channels
 
 __all__ = ["ShadePass"]
 
@@ -63,6 +64,7 @@ class ShadePass(Pass):
             names += ["mask_words", "mask_summary", "staged_lights"]
         if self.culls:
             names += ["mask_coarse", "mask_bounds", "mask_coarse_bounds"]
+        names += shadow_channels(self.request)
         return tuple(names)
 
     def writes(self) -> dict[str, Buffer]:
@@ -82,7 +84,9 @@ class ShadePass(Pass):
             features.polynomial,
             features.emissive,
             outputs,
+            shadow_arguments(self.request),
         )
+        self.shadows = make_shadow_maps(resources, self.request)
         self.gbuffer = make_gbuffer(resources)
         if self.culls:
             depth_bounds = self.request.settings.light_culling.rung == "tiles_depth"
@@ -104,7 +108,7 @@ class ShadePass(Pass):
             resources.program.launch(
                 self.kernel,
                 (band.blocks.stop - band.blocks.start) * 64,
-                [frame.views, frame.values, blocks, self.gbuffer, emission, lights, masks, FIRST],
+                [frame.views, frame.values, blocks, self.gbuffer, emission, lights, masks, self.shadows, FIRST],
                 [self.out],
                 block_dim=kernels.BLOCK_DIM,
                 band=64,

@@ -1,0 +1,402 @@
+"""Shadows end to end: where they fall, where they must not, and that nothing else about a frame changes.
+
+What a light adds with a rung divided by what it adds with `off` is the share of it that arrives. Scenes are analytic:
+a plate or a box over a floor, so that the ray from a pixel to the light says whether it is in shadow, and how far from
+the shadow's edge it is. A light seen past the edge by more than the stated bound must arrive whole to the bit.
+"""
+
+import numpy as np
+import pytest
+import warp as wp
+from builders import LAYERS, Spy, assert_same, box, gallery, grid, images, sphere, tilt
+
+import warp_deferred as wd
+
+CLAY = wd.Material(model="lambert", base_color=(0.8, 0.8, 0.8, 1.0))
+SMALL = ("shadow.directional_size=512", "shadow.spot_size=256", "shadow.point_size=128", "gbuffer.rung=full")
+MAPS = ("hard", "pcf", "pcss")
+NAMES = ("diffuse", "position", "normal", "light_count")
+#: Where the lights of the test scenes stand, and where they shine.
+PLACE, TOWARDS = np.array([1.5, 4.0, 1.0]), np.array([-1.5, -4.0, -1.0])
+
+
+def with_rung(rung, *values):
+    return wd.Settings().with_values([*SMALL, f"shadow.rung={rung}", *values])
+
+
+def render(scene, rung, device, *values, names=NAMES, size=(96, 72), **fields):
+    renderer = wd.Renderer(
+        scene, width=size[0], height=size[1], device=device, outputs=names, settings=with_rung(rung, *values), **fields
+    )
+    return images(renderer.render())
+
+
+def share(scene, rung, device, *values, **fields):
+    """Share of the light that arrives, NaN where none would; and the images of the frame without shadows."""
+    whole = render(scene, "off", device, *values, **fields)
+    shaded = render(scene, rung, device, *values, **fields)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return shaded["diffuse"][..., 1] / whole["diffuse"][..., 1], whole
+
+
+def add_light(scene, kind, **fields):
+    """Add one white light that casts shadows."""
+    fields = {"casts_shadow": True, "source_radius": 0.02} | fields
+    if kind == "directional":
+        fields.pop("source_radius")
+        scene.lights.add(wd.DirectionalLight(direction=TOWARDS, intensity=2.0, **fields))
+    elif kind == "point":
+        scene.lights.add(wd.PointLight(position=PLACE, intensity=30.0, **fields))
+    else:
+        angle = {"spot": 0.7, "wide spot": 1.5}[kind]
+        scene.lights.add(
+            wd.SpotLight(position=PLACE, direction=TOWARDS, intensity=30.0, **{"outer_angle": angle} | fields)
+        )
+
+
+def plate_scene(kind, **fields):
+    """Return a floor with a square plate of side 1 at height 1."""
+    scene = wd.Scene()
+    scene.add(grid(1, 8.0), transform=tilt(-90.0), material=CLAY)
+    scene.add(grid(2, 1.0), transform=tilt(-90.0, 0.0, 1.0, (0.0, 1.0, 0.0)), material=CLAY)
+    add_light(scene, kind, **fields)
+    scene.camera = wd.Camera.look_at((-1.2, 3.0, 2.6), (-0.2, 0.0, 0.0), vertical_fov_deg=50.0)
+    return scene
+
+
+def to_light(kind, points):
+    """Vectors from points to the test scenes' light."""
+    return PLACE - points if kind != "directional" else np.broadcast_to(-TOWARDS, points.shape)
+
+
+def past_edge(kind, floor):
+    """Distance [m], in the plate's plane, by which the ray to the light misses the plate; negative: it hits."""
+    ray = to_light(kind, floor)
+    at_plate = floor + ray / ray[..., 1:2]
+    return np.maximum(np.abs(at_plate[..., 0]), np.abs(at_plate[..., 2])) - 0.5
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot", "wide spot", "point"])
+@pytest.mark.parametrize("rung", MAPS)
+def test_a_shadow_falls_where_geometry_says(kind, rung, device):
+    factor, whole = share(plate_scene(kind), rung, device)
+    floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
+    miss = past_edge(kind, whole["position"].astype(float))
+    # Texels here are below 45 mm; a filter reads 2.8 of them, the lift moves the edge by as many at most.
+    margin = 0.25
+    lit, dark = floor & (miss > margin), floor & (miss < -margin)
+    assert lit.sum() > 500 and dark.sum() > 50
+    assert np.all(factor[lit] == 1.0), f"{(factor[lit] != 1.0).sum()} lit pixels lose light"
+    assert np.all(factor[dark] == 0.0), f"{(factor[dark] != 0.0).sum()} pixels in shadow are lit"
+    assert np.all((factor[floor] >= 0.0) & (factor[floor] <= 1.0))
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot", "point"])
+@pytest.mark.parametrize("rung", MAPS)
+def test_s1_a_lit_plane_does_not_shadow_itself(kind, rung, device):
+    for angle in (0.0, 20.0, 45.0, 70.0, 80.0, 85.0):
+        for scale in (64, 256):
+            scene = wd.Scene()
+            scene.add(grid(3, 6.0), transform=tilt(-90.0, 13.0), material=CLAY)
+            a = np.radians(angle)
+            to = np.array([np.sin(a) * 0.8, np.cos(a), np.sin(a) * 0.6])
+            if kind == "directional":
+                scene.lights.add(wd.DirectionalLight(direction=-to, intensity=2.0, casts_shadow=True))
+            elif kind == "point":
+                scene.lights.add(wd.PointLight(position=2.0 * to, intensity=9.0, casts_shadow=True))
+            else:
+                scene.lights.add(
+                    wd.SpotLight(position=3.0 * to, direction=-to, intensity=9.0, casts_shadow=True, outer_angle=0.5)
+                )
+            scene.camera = wd.Camera.look_at((0.5, 2.2, 2.0), (0.0, 0.0, 0.0))
+            sizes = [f"shadow.{name}_size={max(scale, 128)}" for name in ("directional", "spot", "point")]
+            factor, whole = share(scene, rung, device, *sizes)
+            lit = whole["diffuse"][..., 1] > 0.0
+            assert lit.sum() > 200
+            assert np.all(factor[lit] == 1.0), (angle, scale, (factor[lit] < 1.0).sum(), np.nanmin(factor[lit]))
+
+
+def box_distance(kind, floor):
+    """How deep the ray to the light goes through the unit box on the floor [m]; negative: by how much it misses."""
+    ray = to_light(kind, floor)
+    length = np.linalg.norm(ray, axis=-1, keepdims=True)
+    unit = ray / length
+    with np.errstate(divide="ignore"):
+        a, b = (np.array([-0.5, 0.0, -0.5]) - floor) / unit, (np.array([0.5, 1.0, 0.5]) - floor) / unit
+    enter, leave = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+    return leave - np.maximum(enter, 0.0)
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot", "point"])
+@pytest.mark.parametrize("rung", MAPS)
+def test_s2_no_light_comes_in_under_a_box(kind, rung, device):
+    scene = wd.Scene()
+    scene.add(grid(1, 8.0), transform=tilt(-90.0), material=CLAY)
+    scene.add(box(1.0), transform=tilt(move=(0.0, 0.5, 0.0)), material=CLAY)
+    add_light(scene, kind)
+    # From the shaded side, near enough that the seam between box and floor is many pixels long.
+    scene.camera = wd.Camera.look_at((-2.4, 1.0, -1.6), (-0.5, 0.0, -0.4), vertical_fov_deg=40.0)
+    factor, whole = share(scene, rung, device)
+    floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
+    points = whole["position"].astype(float)
+    # The rim of the shadow is cut by its bound: rays that stay inside the box for 0.3 m. At the seam they all do.
+    deep = floor & (box_distance(kind, points) > 0.3)
+    seam = deep & (np.maximum(np.abs(points[..., 0]), np.abs(points[..., 2])) < 0.53)
+    assert deep.sum() > 300 and seam.sum() > 20
+    assert np.all(factor[deep] == 0.0), (factor[deep] > 0.0).sum()
+
+
+@pytest.mark.parametrize("rung", MAPS)
+def test_s5_what_no_map_holds_is_lit(rung, device):
+    # A spot light in the plane of a wall: half of the floor is behind it, or outside its cone.
+    scene = wd.Scene()
+    scene.add(grid(1, 30.0), transform=tilt(-90.0), material=CLAY)
+    scene.add(grid(1, 0.5), transform=tilt(0.0, 0.0, 1.0, (0.0, 0.25, -2.0)), material=CLAY)
+    scene.lights.add(
+        wd.SpotLight(
+            position=(0.0, 1.0, 0.0), direction=(0.0, -0.3, -1.0), outer_angle=0.6, intensity=20.0, casts_shadow=True
+        )
+    )
+    scene.camera = wd.Camera.look_at((0.0, 9.0, 0.1), (0.0, 0.0, 0.0), vertical_fov_deg=70.0)
+    factor, whole = share(scene, rung, device)
+    lit = whole["diffuse"][..., 1] > 0.0
+    behind = whole["position"][..., 2] > 0.0
+    assert lit.sum() > 100 and (lit & behind).sum() == 0
+    assert np.all(np.isfinite(factor[lit])) and (factor[lit] == 0.0).any() and (factor[lit] == 1.0).mean() > 0.7
+    # Beyond the distance up to which a directional light casts, everything is lit.
+    scene = plate_scene("directional")
+    factor, whole = share(scene, rung, device, "shadow.distance_m=0.5")
+    assert np.all(factor[whole["diffuse"][..., 1] > 0.0] == 1.0)
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot", "point"])
+def test_s6_a_face_turned_away_gets_nothing(kind, device):
+    scene = wd.Scene()
+    scene.add(sphere(24, 1.0), material=CLAY)
+    add_light(scene, kind)
+    scene.camera = wd.Camera.look_at((-2.0, 0.3, 1.5), (0.0, 0.0, 0.0))
+    for rung in MAPS:
+        shaded = render(scene, rung, device)
+        away = np.einsum("yxc,yxc->yx", shaded["normal"], to_light(kind, shaded["position"])) <= 0.0
+        assert away.sum() > 200
+        assert not shaded["diffuse"][away].any() and not shaded["light_count"][away].any()
+
+
+def test_s10_nothing_to_cast_and_a_light_inside_a_mesh(device):
+    for rung in MAPS:
+        # A light inside a closed box lights its inner walls and nothing outside; all is finite.
+        scene = wd.Scene()
+        two_sided = wd.Material(model="lambert", two_sided=True)
+        scene.add(box(2.0), transform=tilt(move=(0.0, 1.0, 0.0)), material=two_sided)
+        scene.add(grid(1, 20.0), transform=tilt(-90.0, 0.0, 1.0, (0.0, -1.0, 0.0)), material=CLAY)
+        scene.lights.add(wd.PointLight(position=(0.0, 1.0, 0.0), intensity=5.0, casts_shadow=True))
+        scene.camera = wd.Camera.look_at((4.0, 3.0, 5.0), (0.0, 0.0, 0.0))
+        outside = render(scene, rung, device)["diffuse"]
+        assert np.isfinite(outside).all() and not outside.any()
+        scene.camera = wd.Camera.look_at((0.6, 1.2, 0.5), (-1.0, 0.6, -1.0))
+        inside = share(scene, rung, device)[0]
+        assert np.isfinite(inside).all() and np.mean(inside == 1.0) > 0.9
+        # Lights, but no triangle.
+        empty = wd.Scene()
+        add_light(empty, "point")
+        add_light(empty, "directional")
+        empty.camera = scene.camera
+        assert not render(empty, rung, device, names=("diffuse",))["diffuse"].any()
+
+
+def mixed_scene():
+    """Return a scene with a light of every kind, all casting, over shapes that shadow one another."""
+    scene = plate_scene("directional")
+    scene.add(box(0.6), transform=tilt(0.0, 30.0, 1.0, (1.2, 0.3, -0.6)), material=CLAY)
+    for kind in ("point", "spot", "wide spot"):
+        add_light(scene, kind)
+    scene.lights.point.position = np.array([[-1.4, 2.0, 1.2]])
+    return scene
+
+
+@pytest.mark.parametrize("rung", MAPS)
+def test_maps_of_all_sizes_go_with_the_cameras_views(rung, device):
+    scene = mixed_scene()
+    names = tuple(n for n in LAYERS if n not in ("color", "light_count"))
+    together = render(scene, rung, device, names=names)
+    assert_same(together, render(scene, "off", device, names=names), set(names) - {"diffuse", "specular"})
+    parts = []
+    for kept in range(4):
+        alone = mixed_scene()
+        for (_, group), count in zip(alone.lights.groups(), (1, 2, 1), strict=True):
+            start = {1: 0, 2: 1}[count] if group is not alone.lights.directional else 3
+            group.intensity = np.where(np.arange(start, start + count) == kept, group.intensity, 0.0)
+        parts.append(render(alone, rung, device, names=names)["diffuse"])
+    total = sum(parts[1:], parts[0])
+    assert np.abs(total - together["diffuse"]).max() <= 4e-6 * total.max()
+
+
+@pytest.mark.parametrize("rung", MAPS)
+def test_threads_and_bins_give_the_same_bits(rung, device):
+    scene = mixed_scene()
+    one = render(scene, rung, device, threads=1)
+    for threads, bins in ((2, "off"), (3, "off"), (1, "on")):
+        assert_same(one, render(scene, rung, device, f"raster.bins={bins}", threads=threads))
+
+
+def test_several_cameras_and_worlds_share_maps_as_needed(device):
+    scene = plate_scene("directional")
+    add_light(scene, "spot")
+    add_light(scene, "point", world=1)
+    for world in range(3):
+        scene.add(box(0.5), transform=tilt(move=(1.2 * world - 1.2, 0.25, 0.8)), material=CLAY, world=world)
+    poses = [scene.camera.replace(world=w) for w in (0, 1, 2, 1)]
+    poses.append(wd.Camera.look_at((2.0, 2.5, 2.0), (0.0, 0.0, 0.0), world=-1))
+    renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=NAMES, settings=with_rung("pcf"))
+    # A map fits 16 point lights; what counts is the sets of maps: 5 cameras' cascades, 4 worlds, 1.
+    batch = renderer.render(poses)
+    assert renderer.plan.request.shadow_slots == 5 * 4 + 4 * 1 + 6
+    frames = [images(batch, k) for k in range(5)]
+    for pose, expected in zip(poses, frames, strict=True):
+        assert_same(images(renderer.render(pose)), expected)
+
+
+def test_a_light_moved_by_a_device_array_moves_its_shadow(device):
+    scene = plate_scene("point")
+    renderer = wd.Renderer(scene, width=96, height=72, device=device, outputs=NAMES, settings=with_rung("pcf"))
+    renderer.render()
+    scene.lights.point.position = wp.array([[-1.4, 3.5, -0.8]], dtype=wp.vec3, device=device)
+    renderer.render()
+    with Spy() as spy:
+        scene.lights.point.position.assign(np.array([[-1.0, 3.0, 0.5]], np.float32))
+        moved = images(renderer.render())
+    assert not spy.plans and not spy.loaded and not spy.kernels
+    still = plate_scene("point")
+    still.lights.point.position = np.array([[-1.0, 3.0, 0.5]])
+    assert_same(moved, render(still, "pcf", device))
+    assert not np.array_equal(moved["diffuse"], render(plate_scene("point"), "pcf", device)["diffuse"])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_bad_numbers_on_the_device_leave_the_others_alone(bad, device):
+    scene = mixed_scene()
+    clean = mixed_scene()
+    clean.lights.point.intensity = np.zeros(1)
+    expected = render(clean, "pcf", device)
+    scene.lights.point.position = wp.array([[bad, 1.0, 0.0]], dtype=wp.vec3, device=device)
+    assert_same(render(scene, "pcf", device), expected)
+    # A caster that cannot be placed casts nothing.
+    scene, missing = plate_scene("spot"), plate_scene("spot")
+    scene.add(box(0.7), material=CLAY)
+    poses = np.stack([i.transform for i in scene.instances]).astype(np.float32)
+    poses[2, 0, 3] = bad
+    scene.bind_transforms(wp.array(poses, dtype=wp.float32, device=device))
+    assert_same(render(scene, "pcf", device), render(missing, "pcf", device))
+
+
+def cascade_keys(renderer):
+    keys = renderer.plan.resources.channels["depth_keys"]
+    return keys.numpy().copy(), renderer.plan.resources.frame.views.numpy()[1:]
+
+
+def test_cascades_stand_still_while_the_camera_moves_a_little(device):
+    scene = plate_scene("directional")
+    scene.add(sphere(12, 0.4), transform=tilt(move=(0.8, 0.9, 0.3)), material=CLAY)
+    names = ("diffuse",)
+    renderer = wd.Renderer(scene, width=96, height=72, device=device, outputs=names, settings=with_rung("hard"),
+                           share_memory=False)  # fmt: skip
+    renderer.render()
+    keys, views = cascade_keys(renderer)
+    assert (keys > 0).any()
+    same = 0
+    for k in range(1, 9):
+        # Less than a hundredth of the smallest texel a step.
+        step = 1e-5 * k * np.array([1.0, -0.5, 0.7])
+        renderer.render(scene.camera.replace(position=tuple(np.array(scene.camera.position) + step)))
+        moved, places = cascade_keys(renderer)
+        assert np.array_equal(places["scale"], views["scale"]) and np.array_equal(places["far"], views["far"])
+        for c in range(4):
+            if np.array_equal(places["origin"][c], views["origin"][c]):
+                same += 1
+                part = slice(512 * 512 * c, 512 * 512 * (c + 1))
+                assert np.array_equal(moved[part], keys[part])
+            else:
+                # It moved by whole texels along the map's own axes.
+                shift = places["rotation"][c] @ (places["origin"][c] - views["origin"][c])
+                texels = shift * places["scale"][c][0]
+                assert np.abs(texels - np.round(texels)).max() < 1e-3 and np.abs(texels).max() < 1.5
+    assert same >= 24
+    # Turning keeps every texel's size.
+    renderer.render(wd.Camera.look_at(scene.camera.position, (0.9, 0.0, -0.4), vertical_fov_deg=50.0))
+    assert np.array_equal(cascade_keys(renderer)[1]["scale"], views["scale"])
+
+
+def test_shadows_far_from_the_origin_are_the_same(device):
+    near = render(plate_scene("spot"), "pcf", device)["diffuse"]
+    scene = plate_scene("spot")
+    shift = np.array([3e6, -1e6, 2e6])
+    for instance in scene.instances:
+        matrix = instance.transform.copy()
+        matrix[:3, 3] += shift
+        instance.transform = matrix
+    scene.lights.spot.position = scene.lights.spot.position + shift
+    scene.camera = scene.camera.replace(position=tuple(np.array(scene.camera.position) + shift))
+    assert np.abs(render(scene, "pcf", device)["diffuse"] - near).max() < 1e-4
+
+
+@pytest.mark.parametrize("rung", MAPS)
+def test_an_orthographic_camera_sees_the_same_shadow(rung, device):
+    scene = plate_scene("directional")
+    scene.camera = wd.Camera.look_at(
+        (-1.2, 3.0, 2.6), (-0.2, 0.0, 0.0), projection="orthographic", vertical_extent=4.0, near=-5.0, far=50.0
+    )
+    factor, whole = share(scene, rung, device)
+    floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
+    miss = past_edge("directional", whole["position"].astype(float))
+    assert np.all(factor[floor & (miss > 0.25)] == 1.0) and np.all(factor[floor & (miss < -0.25)] == 0.0)
+    assert (floor & (miss < -0.25)).sum() > 50
+
+
+def test_without_a_casting_light_nothing_of_it_is_there(device):
+    scene = gallery()
+    renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=LAYERS)
+    plain = images(renderer.render())
+    plan = renderer.plan
+    assert "shadow" not in [p.name for p in plan.passes] and plan.request.shadow_slots == 0
+    assert not any(n.startswith(("shadow", "depth_keys")) for n in plan.memory)
+    keys = {kernel.key for kernel, _ in plan.resources.program.kernels}
+    assert not any("slot" in key or "bound_instances" in key for key in keys)
+    # Forced, it changes no bit.
+    for rung in MAPS:
+        settings = wd.Settings().with_values(["shadow.when=always", f"shadow.rung={rung}"])
+        forced = wd.Renderer(scene, width=64, height=48, device=device, outputs=LAYERS, settings=settings)
+        assert_same(images(forced.render()), plain)
+        assert "shadow" in [p.name for p in forced.plan.passes]
+    # Nor is it there where nothing lit is asked for, or the rung is off.
+    scene.lights.spot.casts_shadow = np.ones(2, bool)
+    depth = wd.Renderer(scene, width=64, height=48, device=device, outputs=("depth",))
+    depth.render()
+    assert depth.plan.request.shadow_slots == 0
+    off = wd.Renderer(scene, width=64, height=48, device=device, outputs=LAYERS,
+                      settings=wd.Settings().with_values(["shadow.rung=off"]))  # fmt: skip
+    assert_same(images(off.render()), plain)
+
+
+def test_lights_past_the_capacity_are_counted_and_lit(device):
+    scene = plate_scene("spot")
+    add_light(scene, "spot")
+    scene.lights.spot.position = np.array([PLACE, PLACE + [0.3, 0.0, 0.0]])
+    values = ("shadow.spot_lights=1",)
+    renderer = wd.Renderer(scene, width=96, height=72, device=device, outputs=NAMES, settings=with_rung("hard", *values))
+    limited = images(renderer.render())
+    assert "2 lights cast shadows; 1 past the capacity, without" in str(renderer.explain(measure=False))
+    scene.lights.spot.casts_shadow = np.array([True, False])
+    assert_same(limited, render(scene, "hard", device))
+
+
+def test_a_frame_with_shadows_allocates_and_compiles_nothing(device):
+    scene = mixed_scene()
+    renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=NAMES, settings=with_rung("pcss"))
+    renderer.render()
+    before = images(renderer.render())
+    with Spy() as spy:
+        scene.lights.spot.position = scene.lights.spot.position + 0.1
+        scene.camera = scene.camera.replace(position=(-1.0, 3.0, 2.0))
+        renderer.render()
+    spy.assert_nothing()
+    assert before["diffuse"].any()

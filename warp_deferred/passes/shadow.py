@@ -1,0 +1,156 @@
+"""Shadow: place the maps' views before clusters are culled, and keep what shading needs to look into them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ..kernels import shadow as kernels
+from ..kernels import structs
+from ..resources import Resources
+from ..shadow_slots import ShadowTable, shadow_reason
+from ..views import ViewPacker
+from .base import Buffer, Pass, Request
+
+__all__ = ["ShadowPass", "make_shadow_maps", "shadow_arguments", "shadow_channels"]
+
+#: Texels a map keeps beyond what it must hold, by rung: the filter's radius, and how far a point is lifted.
+BORDERS = {"hard": 3.0, "pcf": 6.0, "pcss": 40.0}
+
+
+def shadow_channels(request: Request) -> list[str]:
+    """Channels that shading reads to look shadows up."""
+    if not shadow_reason(request.outputs, request.features, request.settings.shadow):
+        return []
+    names = ["shadow_first", "shadow_rows", "shadow_tiles"]
+    return names + ["depth_keys"] * (request.shadow_slots > 0 and request.candidates > 0)
+
+
+def shadow_arguments(request: Request) -> tuple[str, int, int, float] | None:
+    """Arguments of `make_shadow_factor`, or None where shading does without."""
+    settings, features = request.settings.shadow, request.features
+    if not shadow_reason(request.outputs, features, settings):
+        return None
+    point, spot, directional = (count > 0 for count in features.casters)
+    # A wide spot has the maps of a point light; angles may change without another plan.
+    kinds = spot + 2 * (point or spot) + 4 * directional
+    return settings.rung, kinds, settings.cascades, BORDERS[settings.rung]
+
+
+def make_shadow_maps(resources: Resources, request: Request) -> structs.ShadowMaps:
+    """Struct over the shadow channels of a plan; empty arrays where it has none."""
+    maps = structs.ShadowMaps()
+    maps.first = resources.channel("shadow_first", wp.int32)
+    maps.rows = resources.channel("shadow_rows", wp.vec4)
+    maps.tiles = resources.channel("shadow_tiles", wp.vec4i)
+    maps.keys = resources.channel("depth_keys", wp.uint32)
+    maps.capacity = request.features.light_capacity
+    return maps
+
+
+class ShadowPass(Pass):
+    """Where the shadow maps stand; the raster draws them with all other views."""
+
+    name = "shadow"
+    doc = "place shadow maps for lights and cameras"
+
+    def called_for(self) -> str | None:
+        """Lights that cast shadows."""
+        return shadow_reason(self.request.outputs, self.request.features, self.request.settings.shadow)
+
+    def why_not(self) -> str:
+        """Reason why it does not run."""
+        if self.request.settings.shadow.rung == "off":
+            return "shadow.rung is off"
+        return "no lit output asked for" if sum(self.request.features.casters) else "no light casts a shadow"
+
+    def rung(self) -> str:
+        """Rung and number of maps."""
+        rung, count = self.request.settings.shadow.rung, self.request.shadow_slots
+        return f"{rung}, {count} map{'s' * (count != 1)}" if count else rung
+
+    def reads(self) -> tuple[str, ...]:
+        """Nothing but the scene."""
+        return ()
+
+    def writes(self) -> dict[str, Buffer]:
+        """Rows for the look-up; the views lie behind the cameras' own."""
+        count = self.request.shadow_slots
+        lights = self.request.cameras * self.request.features.light_capacity
+        return {
+            "shadow_first": Buffer(wp.int32, lights, persistent=True),
+            "shadow_rows": Buffer(wp.vec4, max(4 * count, 1), persistent=True),
+            "shadow_tiles": Buffer(wp.vec4i, max(count, 1), persistent=True),
+        }
+
+    def prepare(self, resources: Resources) -> None:
+        """Fill what settings decide."""
+        settings = self.request.settings.shadow
+        count = max(self.request.shadow_slots, 1)
+        self.slots = wp.zeros(count, dtype=wp.vec4i, device=resources.device)
+        self.bounds = wp.zeros(6, dtype=wp.float32, device=resources.device)
+        self.params = kernels.ShadowParams()
+        self.params.first_view, self.params.cascades = self.request.cameras, settings.cascades
+        self.params.border = BORDERS.get(settings.rung, 0.0)
+        self.params.distance = settings.distance_m or math.inf
+        self.params.split_blend = settings.split_blend
+        self.params.tangent = math.tan(math.radians(settings.directional_angle_deg))
+        self.cascaded = min(self.request.features.casters[2], settings.directional_lights) > 0
+
+    def stage(
+        self, resources: Resources, packer: ViewPacker, table: ShadowTable, ranges: list[tuple[int, ...]]
+    ) -> None:
+        """Upload what changes only with declarations: which light a map belongs to, which world it draws.
+
+        Args:
+            resources: The plan's.
+            packer: The plan's.
+            table: The maps, as many as the plan has.
+            ranges: For each map what `ViewPacker.write` takes for a view.
+        """
+        first = np.full((self.request.cameras, self.request.features.light_capacity), -1, np.int32)
+        first[:, : table.first.shape[1]] = table.first
+        channels = resources.channels
+        _send(channels["shadow_first"], first.reshape(-1))
+        if not table.slots:
+            return
+        cameras = self.request.cameras
+        _send(self.slots, np.array([(s.light, s.kind, s.part, s.camera) for s in table.slots], np.int32))
+        fields = self.layout.fields[cameras:]
+        tiles = [(fields[k][0], s.size, s.kind, 0) for k, s in enumerate(table.slots)]
+        _send(channels["shadow_tiles"], np.array(tiles, np.int32))
+        worlds = [s.world for s in table.slots]
+        resources.frame.write_slots(packer.slot_rows(cameras, worlds, ranges, self.request.settings.shadow.cull))
+
+    def run(self, resources: Resources) -> None:
+        """The scene's box where a cascade needs it, then the views."""
+        program, count = resources.program, self.request.shadow_slots
+        if not count:
+            return
+        if self.cascaded:
+            program.launch(kernels.clear_bounds_kernel, 6, [], [self.bounds], block_dim=kernels.BLOCK_DIM)
+            instances = resources.scene.instance_count
+            program.launch(
+                kernels.bound_instances_kernel,
+                instances,
+                [resources.scene.geometry, instances],
+                [self.bounds],
+                block_dim=kernels.BLOCK_DIM,
+            )
+        program.launch(
+            kernels.place_slots_kernel,
+            count,
+            [resources.lights.source, self.slots, self.bounds, self.params],
+            [resources.frame.views, resources.channels["shadow_rows"]],
+            block_dim=kernels.BLOCK_DIM,
+        )
+
+    def bytes_moved(self) -> int:
+        """Views in and out, rows out."""
+        return self.request.shadow_slots * (2 * 184 + 64 + 16)
+
+
+def _send(array: wp.array, rows: np.ndarray) -> None:
+    array.assign(wp.array(rows, dtype=array.dtype, device="cpu", copy=False))
