@@ -17,7 +17,6 @@ from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
 from .structs import (
     MODULE_OPTIONS,
-    ORTHOGRAPHIC,
     PIXEL_BLOCK_AREA,
     FrameValues,
     GBuffer,
@@ -41,10 +40,11 @@ VARIANTS = [
     (("compact", "oct24", False), 1, 1, False, False, ()),
     (("compact", "oct24", False), 1, 0, False, False, ()),
     (("full", "float32", True), 15, 7, True, True, ("color",)),
-    (("compact", "oct24", True), 8, 7, False, False, (), ("hard", 7, 4, 3.0)),
-    (("compact", "oct24", True), 8, 4, False, False, (), ("pcf", 4, 4, 6.0)),
-    (("compact", "oct24", True), 8, 7, False, False, (), ("pcf", 7, 4, 6.0)),
-    (("compact", "oct24", True), 8, 7, False, False, (), ("pcss", 7, 4, 40.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), ("hard", 7, 3.0)),
+    (("compact", "oct24", True), 8, 4, False, False, (), ("pcf", 4, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), ("pcf", 7, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), ("pcss", 7, 40.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), ("ray_traced", 64, "none", True)),
 ]
 
 
@@ -80,12 +80,6 @@ def to_half(v: wp.vec3):
     return pack_half4(c[0], c[1], c[2])
 
 
-@wp.func
-def pixel_size(view: View, depth: wp.float32):
-    """Side of a pixel at a depth [m]."""
-    return wp.where(view.projection == ORTHOGRAPHIC, 1.0, depth) / view.scale[0]
-
-
 @functools.cache
 def make_shade_kernel(
     codec: tuple,
@@ -105,13 +99,19 @@ def make_shade_kernel(
         polynomial: Some light has the polynomial fall-off.
         emissive: Some material emits.
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
-        shadow: Arguments of `make_shadow_factor`; None where no light casts.
+        shadow: Arguments of `make_shadow_factor`, or "ray_traced" and those of `make_ray_factor`; None: none casts.
     """
     decode = make_gbuffer_codec(*codec)[1]
     view_lobe, reflect = make_reflectance(models)
     towards, arrive = make_arrive(kinds, polynomial)
-    shadow_factor = None
-    if shadow is not None:
+    # Only what a plan needs is loaded: the look-ups are no part of a frame without shadows.
+    shadow_factor, Shadows = None, ShadowMaps
+    if shadow is not None and shadow[0] == "ray_traced":
+        from .shadow_rays import ShadowRays as Shadows
+        from .shadow_rays import make_ray_factor
+
+        shadow_factor = make_ray_factor(*shadow[1:])
+    elif shadow is not None:
         from .shadow_lookup import make_shadow_factor
 
         shadow_factor = make_shadow_factor(*shadow)
@@ -140,7 +140,7 @@ def make_shade_kernel(
         emission: wp.array[wp.vec3],
         lights: Lights,
         masks: LightMasks,
-        shadows: ShadowMaps,
+        shadows: Shadows,
         # Params
         first: wp.int32,
         # Out
@@ -183,10 +183,12 @@ def make_shade_kernel(
                         facing = wp.dot(s.normal, to_light)
                         if facing > 0.0:
                             a = arrive(lights, light, place[3], to_light)
-                            if wp.static(shadow is not None):
+                            # Shadows is named here too: a deferred annotation alone would not capture it.
+                            if wp.static(shadow is not None and Shadows is not None):
                                 if a.power > 0.0:
-                                    pixel = pixel_size(view, depth)
-                                    a.power *= shadow_factor(shadows, block[0], light, point, to_light, s.normal, pixel)
+                                    a.power *= shadow_factor(
+                                        shadows, view, base + light, light, point, to_light, s.normal, depth
+                                    )
                             if a.power > 0.0:
                                 n_dot_l = facing * a.inverse
                                 c = load_vec4(lights.color, light)

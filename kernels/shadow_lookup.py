@@ -28,7 +28,7 @@ import functools
 import warp as wp
 
 from .intrinsics import bits_float, float_bits, load_vec4, load_vec4i
-from .structs import SLOT_CASCADE, SLOT_FACE, ShadowMaps
+from .structs import ORTHOGRAPHIC, SLOT_CASCADE, SLOT_FACE, ShadowMaps, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -62,6 +62,12 @@ def biased_depth(z: wp.float32, largest: wp.float32, units: wp.float32, slope: w
     elif limit < 0.0:
         bias = wp.max(bias, limit)
     return z + bias
+
+
+@wp.func
+def pixel_size(view: View, depth: wp.float32):
+    """Side of a pixel at a depth [m]."""
+    return wp.where(view.projection == ORTHOGRAPHIC, 1.0, depth) / view.scale[0]
 
 
 @wp.func
@@ -110,13 +116,17 @@ def pcf_factor(maps: ShadowMaps, tile: wp.vec4i, u: wp.float32, v: wp.float32, z
     x0, y0 = wp.floor(u - 0.5), wp.floor(v - 0.5)
     fx = wp.floor((u - 0.5 - x0) * 256.0) * 0.00390625
     fy = wp.floor((v - 0.5 - y0) * 256.0) * 0.00390625
-    x, y = wp.int32(x0) - 1, wp.int32(y0) - 1
+    # At the rim the weights are off by a texel or two; what stands there is outside every cone, face and cascade.
+    last = wp.float32(tile[1] - 4)
+    x, y = wp.int32(wp.clamp(x0 - 1.0, 0.0, last)), wp.int32(wp.clamp(y0 - 1.0, 0.0, last))
+    texel = tile[0] + y * tile[1] + x
     total = wp.float32(0.0)
     for j in range(4):
         row = wp.float32(0.0)
         for i in range(4):
-            row += tent_weight(i, fx) * passes(maps, texel_index(tile, x + i, y + j), z)
+            row += tent_weight(i, fx) * passes(maps, texel + i, z)
         total += tent_weight(j, fy) * row
+        texel += tile[1]
     return total * 0.0625
 
 
@@ -319,36 +329,38 @@ def make_filter(rung: str, parallel: bool):
 
 
 @functools.cache
-def make_shadow_factor(rung: str, kinds: int, cascades: int, border: float):
+def make_shadow_factor(rung: str, kinds: int, border: float):
     """Function that tells which share of a light reaches a point: 1 where no map holds it (lit), 0 in full shadow.
 
     Args:
         rung: hard, pcf or pcss.
         kinds: Bit k: slots of kind k (spot, face, cascade) are there.
-        cascades: Maps of a directional light.
         border: Texels at the rim of a cascade that only filters read.
     """
     filter_local, filter_cascade = make_filter(rung, False), make_filter(rung, True)
 
     @wp.func
-    def cascade_factor(maps: ShadowMaps, first: wp.int32, point: wp.vec3, normal: wp.vec3, slack: wp.float32):
+    def cascade_factor(
+        maps: ShadowMaps, first: wp.int32, tile: wp.vec4i, point: wp.vec3, normal: wp.vec3, slack: wp.float32
+    ):
         # Finest first. Once inside the blending rim of one map, the next that holds the point gives the other part.
         result = wp.float32(1.0)
         weight = wp.float32(1.0)
-        for k in range(wp.static(cascades)):
-            if weight > 0.0:
-                tile = load_vec4i(maps.tiles, first + k)
-                m = load_map(maps, first + k, tile[1])
-                p = parallel_point(m, point)
-                limit = m.half - border
-                room = limit - wp.max(wp.abs(p[0] - m.half), wp.abs(p[1] - m.half))
-                if m.far > 0.0 and room >= 0.0 and p[2] >= 0.0 and p[2] <= 1.0:
-                    part = wp.min(room / (BLEND * limit), 1.0)
-                    if wp.static(rung == "hard"):
-                        part = wp.float32(1.0)
-                    factor = filter_cascade(maps, tile, m, point, normal, 1.0 / m.scale, slack)
-                    result += weight * part * (factor - 1.0)
-                    weight *= 1.0 - part
+        slot = first
+        while slot < first + tile[3] and weight > 0.0:
+            m = load_map(maps, slot, tile[1])
+            p = parallel_point(m, point)
+            limit = m.half - border
+            room = limit - wp.max(wp.abs(p[0] - m.half), wp.abs(p[1] - m.half))
+            if m.far > 0.0 and room >= 0.0 and p[2] >= 0.0 and p[2] <= 1.0:
+                part = wp.min(room / (BLEND * limit), 1.0)
+                if wp.static(rung == "hard"):
+                    part = wp.float32(1.0)
+                mine = wp.vec4i(tile[0] + (slot - first) * tile[1] * tile[1], tile[1], 0, 0)
+                factor = filter_cascade(maps, mine, m, point, normal, 1.0 / m.scale, slack)
+                result += weight * part * (factor - 1.0)
+                weight *= 1.0 - part
+            slot += 1
         return result
 
     @wp.func
@@ -357,8 +369,8 @@ def make_shadow_factor(rung: str, kinds: int, cascades: int, border: float):
         if wp.static((kinds & 2) != 0):
             if tile[2] == SLOT_FACE:
                 slot = first + face_of(q)
-        mine = load_vec4i(maps.tiles, slot)
-        m = load_map(maps, slot, mine[1])
+        m = load_map(maps, slot, tile[1])
+        mine = wp.vec4i(tile[0] + (slot - first) * tile[1] * tile[1], tile[1], 0, 0)
         depth = -wp.dot(m.back, q)
         if not (depth > m.near):
             return wp.float32(1.0)
@@ -367,18 +379,19 @@ def make_shadow_factor(rung: str, kinds: int, cascades: int, border: float):
 
     @wp.func
     def shadow_factor(
-        maps: ShadowMaps, view: wp.int32, light: wp.int32, point: wp.vec3, to_light: wp.vec3, normal: wp.vec3,
-        pixel: wp.float32,
+        maps: ShadowMaps, view: View, place: wp.int32, light: wp.int32, point: wp.vec3, to_light: wp.vec3,
+        normal: wp.vec3, depth: wp.float32,
     ):  # fmt: skip
-        first = maps.first[view * maps.capacity + light]
+        first = maps.first[place]
         if first < 0:
             return wp.float32(1.0)
         # What the point may be off its surface: its depth by a 256th of a pixel's slope, its numbers by rounding.
+        pixel = pixel_size(view, depth)
         tile = load_vec4i(maps.tiles, first)
         if wp.static((kinds & 4) != 0):
             if tile[2] == SLOT_CASCADE:
                 slack = pixel * SNAP + ROUNDING * wp.length(point)
-                return cascade_factor(maps, first, point, normal, slack)
+                return cascade_factor(maps, first, tile, point, normal, slack)
         if wp.static((kinds & 3) != 0):
             slack = pixel * SNAP + ROUNDING * (wp.length(point) + wp.length(to_light))
             return local_factor(maps, first, tile, -to_light, normal, slack)

@@ -293,9 +293,8 @@ class ShadowMaps:
     first: wp.array[wp.int32]  # [view * light capacity + light]: first slot, -1: casts no shadow
     rows: wp.array[wp.vec4]  # four a slot: axes right, up, backward, each with its offset [m]; then
     # texels per unit of x/w (orthographic: per metre), near, far [m], radius of the source [m] (directional: tangent)
-    tiles: wp.array[wp.vec4i]  # first texel, side [texel], SLOT_*, slots of the light
+    tiles: wp.array[wp.vec4i]  # first texel, side [texel], SLOT_*, slots of the light from this one on
     keys: wp.array[wp.uint32]  # bits of z, larger is nearer to the light
-    capacity: wp.int32  # lights a view has in `first`
 
 
 @wp.struct

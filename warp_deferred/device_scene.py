@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -22,6 +23,9 @@ from .materials import Material
 from .normals import smooth_normals
 from .scene import Mesh, Scene
 from .textures import WRAP_CODES, TextureStore
+
+if TYPE_CHECKING:
+    from .ray_scene import RayScene
 
 __all__ = ["DeviceScene"]
 
@@ -50,15 +54,22 @@ class DeviceScene:
         materials: Array of `structs.Material`.
         triangle_count: Triangles over all instances.
         cluster_slots: (instance, cluster) pairs.
+        meshes: Each mesh once.
+        mesh_of: Index in `meshes` of each instance, in the order of instances on the device.
+        worlds: World of each instance, in that order.
         bytes: Device memory held.
     """
 
     def __init__(self, scene: Scene, device: wp.Device) -> None:
         self.device = device
-        self._meshes = list({id(i.mesh): i.mesh for i in scene.instances}.values())
-        prepared = {id(m): _prepare(m) for m in self._meshes}
+        self.meshes = list({id(i.mesh): i.mesh for i in scene.instances}.values())
+        prepared = {id(m): _prepare(m) for m in self.meshes}
         self._check_capacity(scene, prepared)
         self._order = sorted(range(len(scene.instances)), key=lambda k: (scene.instances[k].world, k))
+        numbers = {id(mesh): k for k, mesh in enumerate(self.meshes)}
+        self.mesh_of = [numbers[id(scene.instances[k].mesh)] for k in self._order]
+        self.worlds = [scene.instances[k].world for k in self._order]
+        self._rays: RayScene | None = None
         self._textures = TextureStore(device)
         self._build_materials(scene)
         self.geometry = structs.Geometry()
@@ -129,9 +140,9 @@ class DeviceScene:
             k: [] for k in ("positions", "normals", "uvs", "colors", "triangles", "rows", "clusters")
         }
         any_normals = any(n is not None for _, n in prepared.values())
-        any_uvs = any(m.uvs is not None for m in self._meshes)
-        any_colors = any(m.colors is not None for m in self._meshes)
-        for mesh in self._meshes:
+        any_uvs = any(m.uvs is not None for m in self.meshes)
+        any_colors = any(m.colors is not None for m in self.meshes)
+        for mesh in self.meshes:
             cut, normals = prepared[id(mesh)]
             count = len(mesh.positions)
             self._first_triangle[id(mesh)], self._first_cluster[id(mesh)] = triangle, cluster
@@ -212,6 +223,14 @@ class DeviceScene:
         g.transforms = wp.zeros(max(len(instances), 1), dtype=structs.Transform, device=self.device)
         self._arrays["transforms"] = g.transforms
         self._transform_table = np.zeros(max(len(instances), 1), np.dtype(structs.Transform.numpy_dtype()))
+
+    def rays(self) -> RayScene:
+        """Trees for rays, made when they are first asked for."""
+        if self._rays is None:
+            from .ray_scene import RayScene
+
+            self._rays = RayScene(self)
+        return self._rays
 
     def _ranges(self, starts: dict[int, tuple[int, int]]) -> None:
         """World -> (first instance, instances, first slot, slots); -1 is what every world shares."""

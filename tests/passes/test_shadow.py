@@ -116,15 +116,13 @@ def test_s1_a_lit_plane_does_not_shadow_itself(kind, rung, device):
             assert np.all(factor[lit] == 1.0), (angle, scale, (factor[lit] < 1.0).sum(), np.nanmin(factor[lit]))
 
 
-def box_distance(kind, floor):
-    """How deep the ray to the light goes through the unit box on the floor [m]; negative: by how much it misses."""
+def hits_box(kind, floor, margin):
+    """Whether the ray to the light hits the unit box on the floor, its sides and top taken back by a margin [m]."""
     ray = to_light(kind, floor)
-    length = np.linalg.norm(ray, axis=-1, keepdims=True)
-    unit = ray / length
+    low, high = np.array([margin - 0.5, 0.0, margin - 0.5]), np.array([0.5 - margin, 1.0 - margin, 0.5 - margin])
     with np.errstate(divide="ignore"):
-        a, b = (np.array([-0.5, 0.0, -0.5]) - floor) / unit, (np.array([0.5, 1.0, 0.5]) - floor) / unit
-    enter, leave = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
-    return leave - np.maximum(enter, 0.0)
+        a, b = (low - floor) / ray, (high - floor) / ray
+    return np.minimum(a, b).max(axis=-1) < np.maximum(a, b).min(axis=-1)
 
 
 @pytest.mark.parametrize("kind", ["directional", "spot", "point"])
@@ -136,13 +134,13 @@ def test_s2_no_light_comes_in_under_a_box(kind, rung, device):
     add_light(scene, kind)
     # From the shaded side, near enough that the seam between box and floor is many pixels long.
     scene.camera = wd.Camera.look_at((-2.4, 1.0, -1.6), (-0.5, 0.0, -0.4), vertical_fov_deg=40.0)
-    factor, whole = share(scene, rung, device)
+    factor, whole = share(scene, rung, device, "shadow.point_size=256")
     floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
     points = whole["position"].astype(float)
-    # The rim of the shadow is cut by its bound: rays that stay inside the box for 0.3 m. At the seam they all do.
-    deep = floor & (box_distance(kind, points) > 0.3)
-    seam = deep & (np.maximum(np.abs(points[..., 0]), np.abs(points[..., 2])) < 0.53)
-    assert deep.sum() > 300 and seam.sum() > 20
+    # The texels are at most 37 mm here; the bound is 2.8 of them, and one.
+    deep = floor & hits_box(kind, points, 0.14)
+    seam = deep & (np.maximum(np.abs(points[..., 0]), np.abs(points[..., 2])) < 0.54)
+    assert deep.sum() > 100 and seam.sum() > 20
     assert np.all(factor[deep] == 0.0), (factor[deep] > 0.0).sum()
 
 
@@ -380,9 +378,11 @@ def test_without_a_casting_light_nothing_of_it_is_there(device):
 def test_lights_past_the_capacity_are_counted_and_lit(device):
     scene = plate_scene("spot")
     add_light(scene, "spot")
-    scene.lights.spot.position = np.array([PLACE, PLACE + [0.3, 0.0, 0.0]])
+    scene.lights.spot.position = np.stack([PLACE, PLACE + np.array([0.3, 0.0, 0.0])])
     values = ("shadow.spot_lights=1",)
-    renderer = wd.Renderer(scene, width=96, height=72, device=device, outputs=NAMES, settings=with_rung("hard", *values))
+    renderer = wd.Renderer(
+        scene, width=96, height=72, device=device, outputs=NAMES, settings=with_rung("hard", *values)
+    )
     limited = images(renderer.render())
     assert "2 lights cast shadows; 1 past the capacity, without" in str(renderer.explain(measure=False))
     scene.lights.spot.casts_shadow = np.array([True, False])

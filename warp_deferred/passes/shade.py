@@ -13,7 +13,7 @@ from ..resources import Resources
 from .base import Buffer, Pass
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
-from .shadow import make_shadow_maps, shadow_arguments, shadow_channels
+from .shadow import make_shadows, shadow_arguments, shadow_channels
 
 __all__ = ["ShadePass"]
 
@@ -86,7 +86,7 @@ class ShadePass(Pass):
             outputs,
             shadow_arguments(self.request),
         )
-        self.shadows = make_shadow_maps(resources, self.request)
+        self.shadows = make_shadows(resources, self.request)
         self.gbuffer = make_gbuffer(resources)
         if self.culls:
             depth_bounds = self.request.settings.light_culling.rung == "tiles_depth"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -14,7 +15,7 @@ from ..shadow_slots import ShadowTable, shadow_reason
 from ..views import ViewPacker
 from .base import Buffer, Pass, Request
 
-__all__ = ["ShadowPass", "make_shadow_maps", "shadow_arguments", "shadow_channels"]
+__all__ = ["ShadowPass", "make_shadows", "shadow_arguments", "shadow_channels"]
 
 #: Texels a map keeps beyond what it must hold, by rung: the filter's radius, and how far a point is lifted.
 BORDERS = {"hard": 3.0, "pcf": 6.0, "pcss": 40.0}
@@ -28,26 +29,42 @@ def shadow_channels(request: Request) -> list[str]:
     return names + ["depth_keys"] * (request.shadow_slots > 0 and request.candidates > 0)
 
 
-def shadow_arguments(request: Request) -> tuple[str, int, int, float] | None:
-    """Arguments of `make_shadow_factor`, or None where shading does without."""
+def shadow_arguments(request: Request) -> tuple[Any, ...] | None:
+    """What `make_shade_kernel` takes for `shadow`: the rung and its look-up's arguments, or None without shadows."""
     settings, features = request.settings.shadow, request.features
     if not shadow_reason(request.outputs, features, settings):
         return None
+    if settings.rung == "ray_traced":
+        return settings.rung, settings.samples, settings.cull, features.masked
     point, spot, directional = (count > 0 for count in features.casters)
     # A wide spot has the maps of a point light; angles may change without another plan.
     kinds = spot + 2 * (point or spot) + 4 * directional
-    return settings.rung, kinds, settings.cascades, BORDERS[settings.rung]
+    return settings.rung, kinds, BORDERS[settings.rung]
 
 
-def make_shadow_maps(resources: Resources, request: Request) -> structs.ShadowMaps:
-    """Struct over the shadow channels of a plan; empty arrays where it has none."""
+def make_shadows(resources: Resources, request: Request) -> Any:
+    """Struct over what the look-up of a plan reads; empty arrays where it has none."""
+    if shadow_channels(request) and request.settings.shadow.rung == "ray_traced":
+        from ..kernels.shadow_rays import ShadowRays
+
+        rays, scene = ShadowRays(), resources.scene
+        trees = scene.rays()
+        rays.first, rays.source = resources.channels["shadow_first"], resources.lights.source
+        rays.geometry, rays.materials = scene.geometry, scene.materials
+        rays.meshes, rays.worlds, rays.inverses = trees.meshes, trees.worlds, trees.inverses
+        rays.tree = trees.tree.id
+        rays.tangent = _tangent(request)
+        return rays
     maps = structs.ShadowMaps()
     maps.first = resources.channel("shadow_first", wp.int32)
     maps.rows = resources.channel("shadow_rows", wp.vec4)
     maps.tiles = resources.channel("shadow_tiles", wp.vec4i)
     maps.keys = resources.channel("depth_keys", wp.uint32)
-    maps.capacity = request.features.light_capacity
     return maps
+
+
+def _tangent(request: Request) -> float:
+    return math.tan(math.radians(request.settings.shadow.directional_angle_deg))
 
 
 class ShadowPass(Pass):
@@ -96,7 +113,7 @@ class ShadowPass(Pass):
         self.params.border = BORDERS.get(settings.rung, 0.0)
         self.params.distance = settings.distance_m or math.inf
         self.params.split_blend = settings.split_blend
-        self.params.tangent = math.tan(math.radians(settings.directional_angle_deg))
+        self.params.tangent = _tangent(self.request)
         self.cascaded = min(self.request.features.casters[2], settings.directional_lights) > 0
 
     def stage(
@@ -119,7 +136,8 @@ class ShadowPass(Pass):
         cameras = self.request.cameras
         _send(self.slots, np.array([(s.light, s.kind, s.part, s.camera) for s in table.slots], np.int32))
         fields = self.layout.fields[cameras:]
-        tiles = [(fields[k][0], s.size, s.kind, 0) for k, s in enumerate(table.slots)]
+        parts = self.request.settings.shadow.cascades
+        tiles = [(fields[k][0], s.size, s.kind, parts - s.part) for k, s in enumerate(table.slots)]
         _send(channels["shadow_tiles"], np.array(tiles, np.int32))
         worlds = [s.world for s in table.slots]
         resources.frame.write_slots(packer.slot_rows(cameras, worlds, ranges, self.request.settings.shadow.cull))
@@ -127,6 +145,8 @@ class ShadowPass(Pass):
     def run(self, resources: Resources) -> None:
         """The scene's box where a cascade needs it, then the views."""
         program, count = resources.program, self.request.shadow_slots
+        if self.request.settings.shadow.rung == "ray_traced":
+            self._place_instances(resources)
         if not count:
             return
         if self.cascaded:
@@ -146,6 +166,19 @@ class ShadowPass(Pass):
             [resources.frame.views, resources.channels["shadow_rows"]],
             block_dim=kernels.BLOCK_DIM,
         )
+
+    def _place_instances(self, resources: Resources) -> None:
+        from ..kernels import shadow_rays
+
+        scene, rays = resources.scene, resources.scene.rays()
+        resources.program.launch(
+            shadow_rays.place_instances_kernel,
+            scene.instance_count,
+            [scene.geometry],
+            [rays.low, rays.high, rays.inverses],
+            block_dim=shadow_rays.BLOCK_DIM,
+        )
+        resources.program.call(rays.tree.refit)
 
     def bytes_moved(self) -> int:
         """Views in and out, rows out."""
