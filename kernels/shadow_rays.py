@@ -137,8 +137,8 @@ def make_ray_factor(samples: int, cull: str, masked: bool):
             return False
         if wp.static(not picky):
             return wp.mesh_query_ray_anyhit(rays.meshes[i], p, d, reach)
-        # The ray comes from the surface towards the light: it leaves through the side that the light sees.
-        mirrored = wp.determinant(inverse) < 0.0
+        # The ray goes towards the light and leaves through the side that the light sees; in object space a mirroring
+        # transform does not turn faces round.
         left = wp.float32(reach)
         result = wp.bool(False)
         searching = wp.bool(True)
@@ -146,7 +146,7 @@ def make_ray_factor(samples: int, cull: str, masked: bool):
             hit = wp.mesh_query_ray(rays.meshes[i], p, d, left)
             searching = hit.result
             if searching:
-                front = (wp.dot(hit.normal, d) > 0.0) != mirrored
+                front = wp.dot(hit.normal, d) > 0.0
                 if stops(rays, i, hit.face, hit.u, hit.v, front):
                     result = wp.bool(True)
                     searching = wp.bool(False)

@@ -47,5 +47,5 @@ class ShadowSettings(Record):
     """Angular radius of directional lights for pcss and ray_traced [degrees]; that of the sun."""
     cull: Literal["none", "back", "front"] = "none"
     """Faces that cast no shadow; none: either side of a surface stops light, back: faster where meshes are closed."""
-    samples: int = Field(64, ge=1, le=4096)
+    samples: int = Field(256, ge=1, le=4096)
     """Rays a pixel and light of the rung ray_traced; the standard error is 0.5 / sqrt(samples) at most."""

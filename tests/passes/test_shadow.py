@@ -13,8 +13,12 @@ from builders import LAYERS, Spy, assert_same, box, gallery, grid, images, spher
 import warp_deferred as wd
 
 CLAY = wd.Material(model="lambert", base_color=(0.8, 0.8, 0.8, 1.0))
-SMALL = ("shadow.directional_size=512", "shadow.spot_size=256", "shadow.point_size=128", "gbuffer.rung=full")
+SMALL = (
+    "shadow.directional_size=512", "shadow.spot_size=256", "shadow.point_size=128", "shadow.samples=16",
+    "gbuffer.rung=full",
+)  # fmt: skip
 MAPS = ("hard", "pcf", "pcss")
+RUNGS = (*MAPS, "ray_traced")
 NAMES = ("diffuse", "position", "normal", "light_count")
 #: Where the lights of the test scenes stand, and where they shine.
 PLACE, TOWARDS = np.array([1.5, 4.0, 1.0]), np.array([-1.5, -4.0, -1.0])
@@ -77,7 +81,7 @@ def past_edge(kind, floor):
 
 
 @pytest.mark.parametrize("kind", ["directional", "spot", "wide spot", "point"])
-@pytest.mark.parametrize("rung", MAPS)
+@pytest.mark.parametrize("rung", RUNGS)
 def test_a_shadow_falls_where_geometry_says(kind, rung, device):
     factor, whole = share(plate_scene(kind), rung, device)
     floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
@@ -92,7 +96,7 @@ def test_a_shadow_falls_where_geometry_says(kind, rung, device):
 
 
 @pytest.mark.parametrize("kind", ["directional", "spot", "point"])
-@pytest.mark.parametrize("rung", MAPS)
+@pytest.mark.parametrize("rung", RUNGS)
 def test_s1_a_lit_plane_does_not_shadow_itself(kind, rung, device):
     for angle in (0.0, 20.0, 45.0, 70.0, 80.0, 85.0):
         for scale in (64, 256):
@@ -126,7 +130,7 @@ def hits_box(kind, floor, margin):
 
 
 @pytest.mark.parametrize("kind", ["directional", "spot", "point"])
-@pytest.mark.parametrize("rung", MAPS)
+@pytest.mark.parametrize("rung", RUNGS)
 def test_s2_no_light_comes_in_under_a_box(kind, rung, device):
     scene = wd.Scene()
     scene.add(grid(1, 8.0), transform=tilt(-90.0), material=CLAY)
@@ -144,7 +148,7 @@ def test_s2_no_light_comes_in_under_a_box(kind, rung, device):
     assert np.all(factor[deep] == 0.0), (factor[deep] > 0.0).sum()
 
 
-@pytest.mark.parametrize("rung", MAPS)
+@pytest.mark.parametrize("rung", RUNGS)
 def test_s5_what_no_map_holds_is_lit(rung, device):
     # A spot light in the plane of a wall: half of the floor is behind it, or outside its cone.
     scene = wd.Scene()
@@ -161,7 +165,9 @@ def test_s5_what_no_map_holds_is_lit(rung, device):
     behind = whole["position"][..., 2] > 0.0
     assert lit.sum() > 100 and (lit & behind).sum() == 0
     assert np.all(np.isfinite(factor[lit])) and (factor[lit] == 0.0).any() and (factor[lit] == 1.0).mean() > 0.7
-    # Beyond the distance up to which a directional light casts, everything is lit.
+    if rung == "ray_traced":
+        return
+    # Beyond the distance up to which a directional light's maps reach, everything is lit.
     scene = plate_scene("directional")
     factor, whole = share(scene, rung, device, "shadow.distance_m=0.5")
     assert np.all(factor[whole["diffuse"][..., 1] > 0.0] == 1.0)
@@ -173,7 +179,7 @@ def test_s6_a_face_turned_away_gets_nothing(kind, device):
     scene.add(sphere(24, 1.0), material=CLAY)
     add_light(scene, kind)
     scene.camera = wd.Camera.look_at((-2.0, 0.3, 1.5), (0.0, 0.0, 0.0))
-    for rung in MAPS:
+    for rung in RUNGS:
         shaded = render(scene, rung, device)
         away = np.einsum("yxc,yxc->yx", shaded["normal"], to_light(kind, shaded["position"])) <= 0.0
         assert away.sum() > 200
@@ -181,7 +187,7 @@ def test_s6_a_face_turned_away_gets_nothing(kind, device):
 
 
 def test_s10_nothing_to_cast_and_a_light_inside_a_mesh(device):
-    for rung in MAPS:
+    for rung in RUNGS:
         # A light inside a closed box lights its inner walls and nothing outside; all is finite.
         scene = wd.Scene()
         two_sided = wd.Material(model="lambert", two_sided=True)
@@ -229,7 +235,7 @@ def test_maps_of_all_sizes_go_with_the_cameras_views(rung, device):
     assert np.abs(total - together["diffuse"]).max() <= 4e-6 * total.max()
 
 
-@pytest.mark.parametrize("rung", MAPS)
+@pytest.mark.parametrize("rung", RUNGS)
 def test_threads_and_bins_give_the_same_bits(rung, device):
     scene = mixed_scene()
     one = render(scene, rung, device, threads=1)
@@ -237,7 +243,8 @@ def test_threads_and_bins_give_the_same_bits(rung, device):
         assert_same(one, render(scene, rung, device, f"raster.bins={bins}", threads=threads))
 
 
-def test_several_cameras_and_worlds_share_maps_as_needed(device):
+@pytest.mark.parametrize("rung", ["pcf", "ray_traced"])
+def test_several_cameras_and_worlds_share_maps_as_needed(rung, device):
     scene = plate_scene("directional")
     add_light(scene, "spot")
     add_light(scene, "point", world=1)
@@ -245,10 +252,10 @@ def test_several_cameras_and_worlds_share_maps_as_needed(device):
         scene.add(box(0.5), transform=tilt(move=(1.2 * world - 1.2, 0.25, 0.8)), material=CLAY, world=world)
     poses = [scene.camera.replace(world=w) for w in (0, 1, 2, 1)]
     poses.append(wd.Camera.look_at((2.0, 2.5, 2.0), (0.0, 0.0, 0.0), world=-1))
-    renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=NAMES, settings=with_rung("pcf"))
-    # A map fits 16 point lights; what counts is the sets of maps: 5 cameras' cascades, 4 worlds, 1.
+    renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=NAMES, settings=with_rung(rung))
     batch = renderer.render(poses)
-    assert renderer.plan.request.shadow_slots == 5 * 4 + 4 * 1 + 6
+    # Cascades of five cameras, a spot light seen in four worlds, a point light of one.
+    assert renderer.plan.request.shadow_slots == (5 * 4 + 4 * 1 + 6 if rung == "pcf" else 0)
     frames = [images(batch, k) for k in range(5)]
     for pose, expected in zip(poses, frames, strict=True):
         assert_same(images(renderer.render(pose)), expected)
@@ -270,21 +277,22 @@ def test_a_light_moved_by_a_device_array_moves_its_shadow(device):
     assert not np.array_equal(moved["diffuse"], render(plate_scene("point"), "pcf", device)["diffuse"])
 
 
+@pytest.mark.parametrize("rung", ["pcf", "ray_traced"])
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_bad_numbers_on_the_device_leave_the_others_alone(bad, device):
+def test_bad_numbers_on_the_device_leave_the_others_alone(bad, rung, device):
     scene = mixed_scene()
     clean = mixed_scene()
     clean.lights.point.intensity = np.zeros(1)
-    expected = render(clean, "pcf", device)
+    expected = render(clean, rung, device)
     scene.lights.point.position = wp.array([[bad, 1.0, 0.0]], dtype=wp.vec3, device=device)
-    assert_same(render(scene, "pcf", device), expected)
+    assert_same(render(scene, rung, device), expected)
     # A caster that cannot be placed casts nothing.
     scene, missing = plate_scene("spot"), plate_scene("spot")
     scene.add(box(0.7), material=CLAY)
     poses = np.stack([i.transform for i in scene.instances]).astype(np.float32)
     poses[2, 0, 3] = bad
     scene.bind_transforms(wp.array(poses, dtype=wp.float32, device=device))
-    assert_same(render(scene, "pcf", device), render(missing, "pcf", device))
+    assert_same(render(scene, rung, device), render(missing, rung, device))
 
 
 def cascade_keys(renderer):
@@ -360,7 +368,7 @@ def test_without_a_casting_light_nothing_of_it_is_there(device):
     keys = {kernel.key for kernel, _ in plan.resources.program.kernels}
     assert not any("slot" in key or "bound_instances" in key for key in keys)
     # Forced, it changes no bit.
-    for rung in MAPS:
+    for rung in RUNGS:
         settings = wd.Settings().with_values(["shadow.when=always", f"shadow.rung={rung}"])
         forced = wd.Renderer(scene, width=64, height=48, device=device, outputs=LAYERS, settings=settings)
         assert_same(images(forced.render()), plain)
@@ -400,3 +408,83 @@ def test_a_frame_with_shadows_allocates_and_compiles_nothing(device):
         renderer.render()
     spy.assert_nothing()
     assert before["diffuse"].any()
+
+
+def edge_scene():
+    """Return a floor under the straight edge of a plate, x = 0, 0.4 m above it, lit from straight above."""
+    scene = wd.Scene()
+    scene.add(grid(1, 4.0), transform=tilt(-90.0), material=CLAY)
+    scene.add(grid(1, 3.0), transform=tilt(-90.0, move=(-1.5, 0.4, 0.0)), material=CLAY)
+    scene.lights.add(wd.DirectionalLight(direction=(0.0, -1.0, 0.0), intensity=2.0, casts_shadow=True))
+    scene.camera = wd.Camera.look_at((0.9, 0.35, 0.0), (-0.05, 0.0, 0.0), vertical_fov_deg=30.0)
+    return scene
+
+
+def edge_errors(rung, angle_deg, device, *values):
+    """Difference from the closed form, and the distance from the edge in units of the half penumbra."""
+    values = (f"shadow.directional_angle_deg={angle_deg}", "shadow.cascades=1", "shadow.distance_m=2.0", *values)
+    factor, whole = share(edge_scene(), rung, device, *values, size=(144, 108))
+    # What the one map holds.
+    floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
+    floor &= np.abs(whole["position"][..., 0]) < 0.6
+    place = whole["position"][..., 0][floor] / (0.4 * np.tan(np.radians(angle_deg)))
+    d = np.clip(place, -1.0, 1.0)
+    seen = 0.5 + (d * np.sqrt(1.0 - d * d) + np.arcsin(d)) / np.pi
+    return factor[floor] - seen, place
+
+
+@pytest.mark.parametrize("angle_deg", [5.0, 10.0])
+def test_rungs_keep_their_bounds_against_the_closed_form(angle_deg, device):
+    """The bounds are those that `ShadowSettings.rung` states."""
+    rays, place = edge_errors("ray_traced", angle_deg, device, "shadow.samples=256")
+    inside = np.abs(place) < 1.0
+    assert inside.sum() > 300 and (place < -2.0).sum() > 50 and (place > 2.0).sum() > 500
+    assert not rays[np.abs(place) > 1.02].any()
+    best = np.inf
+    for rung in MAPS:
+        error, place = edge_errors(rung, angle_deg, device)
+        # The one map's texels are 8 mm: 4 of them are 0.9 of the narrower half penumbra.
+        assert not error[np.abs(place) > 2.0].any(), rung
+        best = min(best, np.sqrt(np.mean(error[inside] ** 2)))
+        if rung == "pcss":
+            assert np.mean(np.abs(error[inside])) <= 0.1
+    assert np.sqrt(np.mean(rays[inside] ** 2)) <= min(0.25 * best, 0.5 / 16.0)
+
+
+@pytest.mark.parametrize("rung", RUNGS)
+def test_alpha_masks_shape_shadows(rung, device):
+    pixels = np.full((8, 8, 4), 255, np.uint8)
+    pixels[:, 4:, 3] = 0
+    texture = wd.Texture(pixels, wrap=("clamp", "clamp"))
+    half = wd.Material(model="lambert", base_color_texture=texture, alpha_mode="mask", two_sided=True)
+    factors = []
+    for material, size in ((half, 1.0), (CLAY, 0.5)):
+        scene = wd.Scene()
+        scene.add(grid(1, 8.0), transform=tilt(-90.0), material=CLAY)
+        # The half that is there is the left one; the other scene has a plate in its place.
+        stretch = (size, 1.0, 1.0)
+        scene.add(grid(1, 1.0), transform=tilt(-90.0, 0.0, stretch, (size / 2 - 0.5, 1.0, 0.0)), material=material)
+        add_light(scene, "spot")
+        scene.camera = plate_scene("spot").camera
+        factor, whole = share(scene, rung, device)
+        floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
+        factors.append(np.where(floor, factor, np.nan))
+    both = np.isfinite(factors[0]) & np.isfinite(factors[1])
+    assert (factors[1][both] == 0.0).sum() > 30
+    assert np.mean(np.abs(factors[0] - factors[1])[both] > 1e-6) < 0.002
+
+
+@pytest.mark.parametrize("rung", ["hard", "ray_traced"])
+def test_culled_sides_cast_nothing(rung, device):
+    # The plate faces up, towards the light: culling back sides keeps its shadow, culling front ones drops it. A
+    # mirroring transform turns no face round.
+    for mirror in (1.0, -1.0):
+        scene = plate_scene("spot")
+        matrix = scene.instances[1].transform.copy()
+        matrix[:3, 0] *= mirror
+        scene.instances[1].transform = matrix
+        shadows = {cull: share(scene, rung, device, f"shadow.cull={cull}")[0] for cull in ("none", "back", "front")}
+        dark = shadows["none"] == 0.0
+        assert dark.sum() > 100
+        assert np.array_equal(shadows["back"], shadows["none"], equal_nan=True)
+        assert np.all(shadows["front"][dark] == 1.0)
