@@ -129,7 +129,10 @@ def make_shade_kernel(
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=BOUNDS)
+    # A shadow look-up has more to keep than the bounds leave room for; spilling it would cost more than waiting.
+    bounds = BOUNDS if shadow is None else None
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=bounds)
     def shade_kernel(
         # Frame
         views: wp.array[View],
