@@ -24,8 +24,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
 SQRT_2 = wp.constant(1.4142135)
-#: A caster nearer to a point or spot light than this share of its source's radius is not seen.
-NEAR_SHARE = wp.constant(0.1)
 
 
 @wp.struct
@@ -193,7 +191,8 @@ def local_view(view: View, source: LightSource, light: wp.int32, kind: wp.int32,
         # Eighths: so that the last bit of the tangent, which devices round differently, hardly ever shows.
         half = wp.floor(8.0 * half / wp.tan(source.angles[light][1])) * 0.125
     result.scale = wp.vec2(half, -half)
-    result.near = NEAR_SHARE * source.source_radius[light]
+    # What lies inside the source, such as the bulb around it, does not stop its light.
+    result.near = source.source_radius[light]
     result.far = source.range[light]
     return result
 

@@ -181,9 +181,9 @@ def make_ray_factor(samples: int, cull: str, masked: bool):
             return wp.float32(1.0)
         parallel = (rays.source.kind[light] & 3) == LIGHT_DIRECTIONAL
         size = wp.where(parallel, rays.tangent, rays.source.source_radius[light])
-        # In lengths of the ray: to a point or spot light it ends there.
-        reach = wp.where(parallel, FAR_AWAY, 1.0)
         away = wp.where(parallel, 0.0, wp.length(to_light))
+        # In lengths of the ray: to a point or spot light it ends where the source begins.
+        reach = wp.where(parallel, FAR_AWAY, wp.max(1.0 - size / wp.max(away, 1.0e-30), 0.0))
         slack = pixel_size(view, depth) * SNAP + ROUNDING * (4.0 * wp.length(point) + away)
         start = point + normal * slack
         towards = wp.normalize(to_light)

@@ -12,6 +12,7 @@ from warp_deferred.scenes import (
     hundred_lights,
     lambert_plane,
     many_lights,
+    shadows,
     shapes,
     terrain,
 )
@@ -29,9 +30,10 @@ SMALL = {
     "hundred_lights": "hundred_lights",
     "lambert_plane": "lambert_plane",
     "many_lights": "many_lights?lights=200&triangles=6000",
+    "shadows": "shadows",
     "terrain": "terrain?triangles=5000&lights=100",
 }
-MOVING = ("hundred_lights", "many_lights", "terrain")
+MOVING = ("hundred_lights", "many_lights", "shadows", "terrain")
 CLOSED = {
     "box": (shapes.box(1.0, 2.0, 3.0, cells=3), 6.0),
     "bevelled_box": (shapes.bevelled_box(1.0, 2.0, 3.0, 0.1), 6.0),
@@ -159,7 +161,7 @@ def test_hundred_lights_has_a_hundred_and_ninety_eight():
 @pytest.mark.parametrize("name", MOVING)
 def test_animation_moves_every_light_keeps_counts_and_comes_back(name):
     scene = load(SMALL[name])
-    period = hundred_lights.PERIOD if name == "hundred_lights" else PERIOD
+    period = {"hundred_lights": hundred_lights.PERIOD, "shadows": shadows.PERIOD}.get(name, PERIOD)
     structure = scene.structure_revision, scene.lights.structure_revision
     start = light_state(scene)
     scene.animate(scene, 2.7)
@@ -198,7 +200,7 @@ def test_a_scene_that_moves_is_let_go(name):
 
 
 def test_animating_a_foreign_scene_says_whose_it_must_be():
-    for module in (hundred_lights, many_lights):
+    for module in (hundred_lights, many_lights, shadows):
         with pytest.raises(InputError, match="build"):
             module.animate(wd.Scene(), 0.0)
 
@@ -228,7 +230,7 @@ def test_bad_parameters_are_named(name, message):
 @pytest.mark.parametrize("name", SMALL)
 def test_parameters_have_defaults_and_a_description(name):
     module = {"furnace": furnace, "hundred_lights": hundred_lights, "lambert_plane": lambert_plane,
-              "many_lights": many_lights, "terrain": terrain}[name]  # fmt: skip
+              "many_lights": many_lights, "shadows": shadows, "terrain": terrain}[name]  # fmt: skip
     described = inspect.getdoc(module.build)
     for parameter in inspect.signature(module.build).parameters.values():
         assert parameter.default is not inspect.Parameter.empty and f"{parameter.name}: " in described
@@ -330,6 +332,22 @@ def test_every_scene_shows_something_finite(name):
     color, display = frame.numpy("color"), frame.numpy("display")
     assert np.isfinite(color).all() and color.min() >= 0.0
     assert display[..., :3].max(axis=-1).mean() > 25.0
+
+
+def test_each_kind_of_light_casts_a_shadow_in_the_courtyard():
+    for kind in ("sun", "lamp", "moon"):
+        scene = shadows.build(**{name: float(name == kind) for name in ("sun", "lamp", "moon")})
+        assert scene.lights.casts_shadow
+        pictures = []
+        for rung in ("off", "pcf"):
+            settings = Settings().with_values([f"shadow.rung={rung}", "shadow.directional_size=512"])
+            renderer = wd.Renderer(
+                scene, width=96, height=54, device="cpu", outputs=("diffuse", "light_count"), settings=settings
+            )
+            pictures.append(renderer.render().numpy("diffuse")[0].sum(axis=-1))
+        lit = pictures[0] > 0.01 * pictures[0].max()
+        shaded = lit & (pictures[1] < 0.01 * pictures[0])
+        assert 0.05 < shaded.sum() / lit.sum() < 0.8, kind
 
 
 def test_the_hall_is_closed_to_the_camera_and_well_lit():

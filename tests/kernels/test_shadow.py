@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 from warp_deferred.kernels.shadow import split_depth, step_above, step_below
-from warp_deferred.kernels.shadow_lookup import (
-    biased_depth,
-    disc_factor,
-    face_of,
-    hard_factor,
-    mean_blocker,
-    pcf_factor,
-)
+from warp_deferred.kernels.shadow_filters import disc_factor, hard_factor, mean_blocker, pcf_factor
+from warp_deferred.kernels.shadow_lookup import biased_depth, face_of
 from warp_deferred.kernels.structs import ShadowMaps
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
