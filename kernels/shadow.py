@@ -36,6 +36,7 @@ class ShadowParams:
     distance: wp.float32  # depth up to which directional lights cast [m], inf: as far as the scene reaches
     split_blend: wp.float32
     tangent: wp.float32  # of a directional light's angular radius
+    keep: wp.int32  # 1: keep what need not be drawn anew
 
 
 @wp.func
@@ -221,6 +222,18 @@ def cascade_view(view: View, camera: View, direction: wp.vec3, part: wp.int32, e
     return result
 
 
+@wp.func
+def same_view(a: View, b: View):
+    """Whether two views of a slot show the same from the same place, to the bit."""
+    for k in range(3):
+        if a.origin[k] != b.origin[k]:
+            return False
+        for j in range(3):
+            if a.rotation[k, j] != b.rotation[k, j]:
+                return False
+    return a.scale[0] == b.scale[0] and a.near == b.near and a.far == b.far
+
+
 @wp.kernel
 def place_slots_kernel(
     # In
@@ -232,14 +245,15 @@ def place_slots_kernel(
     # Out
     out_views: wp.array[View],
     out_rows: wp.array[wp.vec4],
+    out_states: wp.array[wp.int32],
 ):
-    """Write each slot's view, and its rows for the look-up; a slot of a light that is out is skipped."""
+    """Write each slot's view, its rows for the look-up, and its state: 1 to be drawn, 0 kept, -1 skipped."""
     s = wp.tid()
     slot = slots[s]
     light, kind, part = slot[0], slot[1], slot[2]
     view = out_views[params.first_view + s]
     result = view
-    result.skipped = 1
+    state = wp.int32(-1)
     size = wp.float32(0.0)
     eye = wp.vec3d()
     if usable(source, light):
@@ -248,18 +262,25 @@ def place_slots_kernel(
             extent = extent_of(camera, bounds, params.distance)
             if extent[0] < extent[1]:
                 result = cascade_view(view, camera, wp.normalize(source.direction[light]), part, extent, params)
-                result.skipped = 0
+                state = wp.int32(1)
                 size = params.tangent
                 eye = widen(result.rotation) * (camera.origin - result.origin)
         else:
             result = local_view(view, source, light, kind, part, params.border)
-            result.skipped = 0
+            state = wp.int32(1)
             size = source.source_radius[light]
+    if state == 1 and params.keep != 0 and same_view(result, view):
+        state = wp.int32(0)
+    if state == -1:
+        # No slot that is drawn has such planes: once its light is back, its view is another one.
+        result.near = -1.0
+        result.far = -1.0
+    result.skipped = wp.where(state == 1, 0, 1)
+    out_states[s] = state
     out_views[params.first_view + s] = result
     offset = to_single(eye)
     r = result.rotation
     for k in range(3):
         out_rows[4 * s + k] = wp.vec4(r[k, 0], r[k, 1], r[k, 2], offset[k])
-    # A far plane at 0 holds nothing: what stands in no cascade is lit.
-    far = wp.where(result.skipped == 0, result.far, 0.0)
-    out_rows[4 * s + 3] = wp.vec4(result.scale[0], result.near, far, size)
+    # A far plane below 0 holds nothing: what stands in no cascade is lit.
+    out_rows[4 * s + 3] = wp.vec4(result.scale[0], result.near, result.far, size)

@@ -11,8 +11,9 @@ k t sin(a), and lets light through an occluder only where it is thinner than tha
 SNAP, TILT and the rounding terms cover snapped vertices (1/256 texel, and 1/256 pixel of the camera), quantised normals
 and float32. What is left of rounding in the depth itself is UNITS last places.
 
-The filters themselves are in shadow_filters.py. Where cascades meet, the filters blend over the outer eighth of the finer one, and the last one fades out; hard
-switches. A point takes the finest map that holds it with its filter. Functions only, no kernel.
+The filters themselves are in shadow_filters.py. A point takes the finest cascade that holds it with its filter. Where
+cascades meet, the filters blend over the outer eighth of the finer one, and the last one fades out; `hard` switches.
+Functions only, no kernel.
 """
 
 from __future__ import annotations

@@ -25,11 +25,11 @@ class ShadowSettings(Record):
     over the penumbra of a straight edge up to 32 texels wide either way."""
     when: Literal["called_for", "always"] = "called_for"
     """always: compile the lookup in although no light casts; it then changes no bit."""
-    directional_size: int = Field(2048, ge=64, le=8192)
+    directional_size: int = Field(2048, ge=64, le=8192, multiple_of=64)
     """Side of each cascade's map [texel]; 4 bytes a texel."""
-    spot_size: int = Field(1024, ge=64, le=8192)
+    spot_size: int = Field(1024, ge=64, le=8192, multiple_of=64)
     """Side of a spot light's map [texel]."""
-    point_size: int = Field(512, ge=128, le=4096)
+    point_size: int = Field(512, ge=128, le=4096, multiple_of=64)
     """Side of each of the six maps of a point light, or of a spot light wider than 75 degrees [texel]."""
     directional_lights: int = Field(2, ge=0, le=16)
     """Directional lights that have maps, the first ones in order; `cascades` maps each, for every camera."""
@@ -47,5 +47,7 @@ class ShadowSettings(Record):
     """Angular radius of directional lights for pcss and ray_traced [degrees]; that of the sun."""
     cull: Literal["none", "back", "front"] = "none"
     """Faces that cast no shadow; none: either side of a surface stops light, back: faster where meshes are closed."""
+    keep_maps: bool = True
+    """Whether a map stays from frame to frame while neither its view nor a caster in it moves; no pixel differs."""
     samples: int = Field(256, ge=1, le=4096)
     """Rays a pixel and light of the rung ray_traced; the standard error is 0.5 / sqrt(samples) at most."""

@@ -488,3 +488,79 @@ def test_culled_sides_cast_nothing(rung, device):
         assert dark.sum() > 100
         assert np.array_equal(shadows["back"], shadows["none"], equal_nan=True)
         assert np.all(shadows["front"][dark] == 1.0)
+
+
+def drawn(renderer):
+    """Which maps the last frame drew anew."""
+    count = renderer.plan.request.shadow_slots
+    return renderer.plan.resources.frame.views.numpy()["skipped"][-count:] == 0
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_maps_stay_while_neither_their_light_nor_a_caster_moves(threads, device):
+    scene = mixed_scene()
+    names, settings = ("diffuse",), with_rung("pcf")
+    renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=names, settings=settings, threads=threads)
+    # Point, spot, wide spot, four cascades.
+    point, spot, wide, cascades = slice(0, 6), slice(6, 7), slice(7, 13), slice(13, 17)
+
+    def check(*expected):
+        """Render; the expected maps are drawn, the picture is that of a renderer that never kept any."""
+        frame = images(renderer.render())
+        fresh = wd.Renderer(scene, width=64, height=48, device=device, outputs=names, settings=settings)
+        assert_same(frame, images(fresh.render()))
+        marks = np.zeros(17, bool)
+        for part in expected:
+            marks[part] = True
+        return np.array_equal(drawn(renderer), marks)
+
+    everything = slice(0, 17)
+    assert check(everything)
+    assert check() and check()
+    # A light moves: its maps alone. Another colour moves nothing.
+    scene.lights.spot.position = scene.lights.spot.position + np.array([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    assert check(spot)
+    scene.lights.spot.color = np.array([[1.0, 0.5, 0.2], [0.3, 1.0, 0.4]])
+    assert check()
+    # The camera leaps: cascades alone.
+    scene.camera = scene.camera.replace(position=(-0.2, 2.6, 2.2))
+    assert check(cascades)
+    # A caster moves in some maps; where it left counts as well as where it went, and it may come back.
+    box_at = scene.instances[2].transform
+    scene.instances[2].transform = tilt(0.0, 30.0, 1.0, (1.3, 0.3, -0.6))
+    check()
+    some = drawn(renderer)
+    assert some.any() and not some.all()
+    assert check()
+    scene.instances[2].transform = tilt(0.0, 30.0, 1.0, (1.3, -900.0, -0.6))
+    check()
+    assert drawn(renderer)[point].any() and drawn(renderer)[wide].any()
+    scene.instances[2].transform = box_at
+    check()
+    # A light goes out and comes back after a caster moved unseen.
+    place = np.array(scene.lights.point.position)
+    scene.lights.point.position = wp.array([[np.nan, 0.0, 0.0]], dtype=wp.vec3, device=device)
+    check()
+    assert not drawn(renderer)[point].any()
+    scene.instances[1].transform = tilt(-90.0, 0.0, 1.0, (0.1, 1.1, 0.0))
+    check()
+    scene.lights.point.position = wp.array(place.astype(np.float32), dtype=wp.vec3, device=device)
+    check()
+    assert drawn(renderer)[point].all()
+
+
+def test_maps_are_drawn_every_frame_where_they_are_not_kept(device):
+    scene = mixed_scene()
+    kept = wd.Renderer(scene, width=64, height=48, device=device, outputs=NAMES, settings=with_rung("pcf"))
+    settings = with_rung("pcf", "shadow.keep_maps=false")
+    plain = wd.Renderer(scene, width=64, height=48, device=device, outputs=NAMES, settings=settings)
+    for _ in range(2):
+        assert_same(images(kept.render()), images(plain.render()))
+    assert drawn(plain).all() and not drawn(kept).any()
+    # Another set of casting lights is another set of maps; the old ones do not show.
+    scene.lights.spot.casts_shadow = np.array([True, False])
+    assert_same(images(kept.render()), images(plain.render()))
+    scene.lights.spot.casts_shadow = np.array([False, True])
+    assert_same(images(kept.render()), images(plain.render()))
+    scene.lights.spot.casts_shadow = np.array([True, True])
+    assert_same(images(kept.render()), images(plain.render()))

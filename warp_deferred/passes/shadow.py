@@ -10,12 +10,13 @@ import warp as wp
 
 from ..kernels import shadow as kernels
 from ..kernels import structs
+from ..program import FIRST
 from ..resources import Resources
 from ..shadow_slots import ShadowTable, shadow_reason
 from ..views import ViewPacker
 from .base import Buffer, Pass, Request
 
-__all__ = ["ShadowPass", "make_shadows", "shadow_arguments", "shadow_channels"]
+__all__ = ["ShadowPass", "clear_maps", "keeps_maps", "make_shadows", "shadow_arguments", "shadow_channels"]
 
 #: Texels a map keeps beyond what it must hold, by rung: the filter's radius, and how far a point is lifted.
 BORDERS = {"hard": 3.0, "pcf": 6.0, "pcss": 40.0}
@@ -67,6 +68,32 @@ def _tangent(request: Request) -> float:
     return math.tan(math.radians(request.settings.shadow.directional_angle_deg))
 
 
+def keeps_maps(request: Request) -> bool:
+    """Whether maps stay from frame to frame; the passes before shading then leave them alone."""
+    return request.shadow_slots > 0 and request.candidates > 0 and request.settings.shadow.keep_maps
+
+
+def clear_maps(resources: Resources, request: Request) -> None:
+    """Clear the maps that are drawn anew, beside the step before."""
+    from ..kernels import shadow_keep
+
+    layout, chunk = resources.layout, int(shadow_keep.CHUNK)
+    views = range(request.cameras, len(layout.sizes))
+    owners = np.repeat(
+        np.array(views, np.int32), [layout.sizes[v].width * layout.sizes[v].height // chunk for v in views]
+    )
+    chunks = wp.array(owners, dtype=wp.int32, device=resources.device)
+    resources.program.launch(
+        shadow_keep.clear_maps_kernel,
+        layout.depth_pixels // int(shadow_keep.CLEARED),
+        [resources.frame.views, chunks, FIRST],
+        [resources.channels["depth_keys"]],
+        block_dim=shadow_keep.BLOCK_DIM,
+        band=chunk,
+        beside=True,
+    )
+
+
 class ShadowPass(Pass):
     """Where the shadow maps stand; the raster draws them with all other views."""
 
@@ -114,6 +141,12 @@ class ShadowPass(Pass):
         self.params.distance = settings.distance_m or math.inf
         self.params.split_blend = settings.split_blend
         self.params.tangent = _tangent(self.request)
+        self.params.keep = int(keeps_maps(self.request))
+        self.states = wp.zeros(count, dtype=wp.int32, device=resources.device)
+        if self.params.keep:
+            instances = resources.scene.instance_count
+            self.before = wp.zeros(instances, dtype=structs.Transform, device=resources.device)
+            self.moved = wp.zeros(instances + 1, dtype=wp.int32, device=resources.device)
         self.cascaded = min(self.request.features.casters[2], settings.directional_lights) > 0
 
     def stage(
@@ -163,8 +196,33 @@ class ShadowPass(Pass):
             kernels.place_slots_kernel,
             count,
             [resources.lights.source, self.slots, self.bounds, self.params],
-            [resources.frame.views, resources.channels["shadow_rows"]],
+            [resources.frame.views, resources.channels["shadow_rows"], self.states],
             block_dim=kernels.BLOCK_DIM,
+        )
+        if self.params.keep:
+            self._keep(resources)
+
+    def _keep(self, resources: Resources) -> None:
+        """Find what moved, and draw the maps anew that it touches."""
+        from ..kernels import shadow_keep
+
+        program, block = resources.program, shadow_keep.BLOCK_DIM
+        geometry, views, first = resources.scene.geometry, resources.frame.views, self.request.cameras
+        count, instances = self.request.shadow_slots, resources.scene.instance_count
+        program.launch(shadow_keep.note_moves_kernel, instances, [geometry, self.before], [self.moved], block_dim=block)
+        program.launch(
+            shadow_keep.touch_slots_kernel,
+            (count, instances),
+            [views, geometry, self.before, self.moved, first],
+            [self.states],
+            block_dim=block,
+        )
+        program.launch(
+            shadow_keep.settle_slots_kernel,
+            max(count, instances),
+            [geometry, first, count, instances],
+            [self.states, views, self.before, self.moved],
+            block_dim=block,
         )
 
     def _place_instances(self, resources: Resources) -> None:
