@@ -11,7 +11,7 @@ from warp_deferred import Settings, load
 from .cases import FrameCase, frame_cases
 from .probe import bytes_by_pass, lit_lights, open_scene, plan_of, raster_counts
 from .record import Record
-from .timing import REPEATS, copy_bandwidth, time_passes, time_program
+from .timing import REPEATS, copy_bandwidth, sample_sections, time_passes, time_program
 
 __all__ = ["pass_names", "run"]
 
@@ -27,8 +27,9 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, huge: 
         huge: Whether to render 16384x16384 pixels, too.
 
     Returns:
-        Copy bandwidth and one row a frame. Metrics: `frame.*` is the graph of the whole frame, `pass.NAME.*` each pass
-        as a graph of its own, `pass.NAME.times_floor` its time over its bytes at the copy bandwidth.
+        Copy bandwidth and one row a frame. Metrics: `frame.*` is the graph of the whole frame with all its samples,
+        `sample.*` that of one sample where a frame takes several, `pass.NAME.*` each pass as a graph of
+        its own, run once, `pass.NAME.times_floor` its time over its bytes at the copy bandwidth.
     """
     bandwidth = copy_bandwidth(device)
     rows = []
@@ -50,7 +51,10 @@ def _row(case: FrameCase, device: wp.Device, settings: Settings, bandwidth: floa
     program = plan.resources.program
     whole = time_program(program, repeats=repeats)
     moved = bytes_by_pass(plan)
-    row |= whole.metrics("frame") | _floor("frame", whole.median, sum(moved.values()), bandwidth)
+    frame_bytes = sum(report.bytes or 0 for report in plan.reports(measure=False) if report.runs)
+    row |= whole.metrics("frame") | _floor("frame", whole.median, frame_bytes, bandwidth)
+    if sample := sample_sections(program):
+        row |= {"samples": program.samples} | time_program(program, sample, repeats=repeats).metrics("sample")
     passes = time_passes(program, repeats=repeats)
     for name, timing in passes.items():
         row |= timing.metrics(f"pass.{name}") | _floor(f"pass.{name}", timing.median, moved[name], bandwidth)

@@ -18,9 +18,11 @@ import numpy as np
 import warp as wp
 
 from warp_deferred.checks import check_choice, check_count, input_error
-from warp_deferred.program import Program
+from warp_deferred.program import SAMPLE, Program
 
-__all__ = ["REPEATS", "Timing", "copy_bandwidth", "run_until", "time_calls", "time_passes", "time_program"]
+__all__ = [
+    "REPEATS", "Timing", "copy_bandwidth", "run_until", "sample_sections", "time_calls", "time_passes", "time_program",
+]  # fmt: skip
 
 REPEATS = 50
 #: Seconds a warm-up takes at least, on CUDA.
@@ -88,29 +90,44 @@ def run_until(program: Program, name: str) -> None:
     Later passes may lay their buffers over those of earlier ones; after a whole frame only outputs are sure to be left.
     """
     _, stop = _selected(program, [name])
-    for section in program.sections[:stop]:
-        program.run_section(section)
+    program.run(stop)
+
+
+def sample_sections(program: Program) -> list[str]:
+    """Names of the passes that run once a sample, in frame order; none where a frame takes one sample a pixel."""
+    return [s.name for s in program.sections if s.part == SAMPLE] if program.samples > 1 else []
 
 
 def time_program(program: Program, sections: Sequence[str] | None = None, *, repeats: int = REPEATS) -> Timing:
-    """Time passes that follow one another, as one graph.
+    """Time a whole frame, all its samples included, or passes that follow one another, as one graph.
 
     Args:
         program: A plan's program, after its first frame (views and lights are uploaded).
-        sections: Names of passes that lie side by side, in frame order; all of them if left out.
+        sections: Names of passes that lie side by side, in frame order; all of them if left out. Those that run once
+            a sample are timed for one sample; `sample_sections` names them.
         repeats: Measurements.
 
     Returns:
-        Time of one replay of these passes [ms].
+        Time of one frame, or of one replay of these passes [ms].
 
     Raises:
-        InputError: If there is no such pass, or the passes do not lie side by side.
+        InputError: If there is no such pass, or the passes do not lie side by side, or some of them run once a sample
+            and others once a frame.
     """
     check_count("time_program.repeats", repeats, 1, 100_000)
     start, stop = _selected(program, sections)
-    for section in program.sections[:start]:
-        program.run_section(section)
     wanted = program.sections[start:stop]
+    if len(wanted) == len(program.sections):
+        measure = _device_times if program.device.is_cuda else lambda _, run, count: _host_times(run, count)
+        return Timing.of(measure(program.device, program.replay, repeats))
+    if program.samples > 1 and len({section.part for section in wanted}) > 1:
+        raise input_error(
+            "time_program.sections",
+            f"passes that all run once a frame or all once a sample ({', '.join(sample_sections(program))})",
+            list(sections or ()),
+            "leave it out to time the whole frame",
+        )
+    program.run(start)
 
     def run() -> None:
         for section in wanted:
@@ -125,7 +142,8 @@ def time_program(program: Program, sections: Sequence[str] | None = None, *, rep
 def time_passes(program: Program, *, repeats: int = REPEATS) -> dict[str, Timing]:
     """Time every pass as a graph of its own, in frame order, so that caches are as a frame leaves them.
 
-    The sum exceeds the whole frame's graph by what starting a graph costs, about 2 µs a pass.
+    The sum exceeds the whole frame's graph by what starting a graph costs, about 2 µs a pass. Passes that run once a
+    sample are timed for one sample.
     """
     check_count("time_passes.repeats", repeats, 1, 100_000)
     runs = [(s.name, lambda s=s: program.run_section(s)) for s in program.sections]

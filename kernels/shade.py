@@ -12,7 +12,8 @@ import warp as wp
 
 from .brdf import INVERSE_PI, MIN_N_DOT_V, diffuse_albedo, make_reflectance
 from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
-from .intrinsics import load_vec4, load_vec4i, lowest_bit, pack_half4
+from .image import store_limit, to_half
+from .intrinsics import load_vec4, load_vec4i, lowest_bit
 from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
 from .structs import (
@@ -57,27 +58,6 @@ class ShadeTarget:
     diffuse: wp.array[wp.vec3]
     specular: wp.array[wp.vec3]
     light_count: wp.array[wp.int32]
-
-
-@wp.func
-def finite_radiance(value: wp.float32, limit: wp.float32):
-    """NaN and negative become 0, what is too large the limit: nothing non-finite leaves the pass."""
-    if not (value > 0.0):
-        return wp.float32(0.0)
-    return wp.min(value, limit)
-
-
-@wp.func
-def store_limit(v: wp.vec3, limit: wp.float32):
-    """Apply `finite_radiance` to a colour."""
-    return wp.vec3(finite_radiance(v[0], limit), finite_radiance(v[1], limit), finite_radiance(v[2], limit))
-
-
-@wp.func
-def to_half(v: wp.vec3):
-    """Radiance as half4, clamped to half's range before the cast."""
-    c = store_limit(v, 65504.0)
-    return pack_half4(c[0], c[1], c[2])
 
 
 @functools.cache

@@ -236,6 +236,8 @@ def same_view(a: View, b: View):
 
 @wp.kernel
 def place_slots_kernel(
+    # Frame
+    cameras: wp.array[View],
     # In
     source: LightSource,
     slots: wp.array[wp.vec4i],
@@ -258,13 +260,14 @@ def place_slots_kernel(
     eye = wp.vec3d()
     if usable(source, light):
         if kind == SLOT_CASCADE:
-            camera = out_views[slot[3]]
+            # As uploaded, not as a sample moves it: else each sample would have maps of its own.
+            camera = cameras[slot[3]]
             extent = extent_of(camera, bounds, params.distance)
             if extent[0] < extent[1]:
                 result = cascade_view(view, camera, wp.normalize(source.direction[light]), part, extent, params)
                 state = wp.int32(1)
                 size = params.tangent
-                eye = widen(result.rotation) * (camera.origin - result.origin)
+                eye = widen(result.rotation) * (out_views[slot[3]].origin - result.origin)
         else:
             result = local_view(view, source, light, kind, part, params.border)
             state = wp.int32(1)

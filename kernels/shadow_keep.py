@@ -1,7 +1,8 @@
 """Which shadow maps are drawn anew: those whose view, or whose casters, are not what they were a frame ago.
 
 All on the device, since lights and transforms may live there. A map is kept where its view is the same to the bit and
-no instance that moved touches its volume, neither where it was nor where it is now. What is kept is neither cleared nor
+no instance that moved touches its volume, neither where it was nor where it is now; a mesh with bound points counts as
+one that moves everywhere. What is kept is neither cleared nor
 drawn; since drawing it again would give the same bits, keeping never shows. A number that is not finite counts as a
 move. Block size 128.
 """
@@ -40,14 +41,17 @@ def note_moves_kernel(
     geometry: Geometry,
     # In
     before: wp.array[Transform],
+    bound: wp.array[wp.int32],
     # Out
     out_moved: wp.array[wp.int32],
 ):
-    """Mark the instances that moved since the last frame; the element behind the last one counts whether any did."""
+    """Mark the instances that moved since the last frame, 2 where points did; the last element: whether any moved."""
     i = wp.tid()
-    moved = not same_transform(geometry.transforms[i], before[i])
-    out_moved[i] = wp.where(moved, 1, 0)
-    if moved:
+    moved = wp.where(same_transform(geometry.transforms[i], before[i]), 0, 1)
+    if bound[i] != 0:
+        moved = wp.int32(2)
+    out_moved[i] = moved
+    if moved != 0:
         out_moved[out_moved.shape[0] - 1] = 1
 
 
@@ -89,7 +93,8 @@ def touch_slots_kernel(
     if i >= view.shared_instances and (own < 0 or own >= view.own_count):
         return
     instance = geometry.instances[i]
-    if touches(view, instance, before[i]) or touches(view, instance, geometry.transforms[i]):
+    # Where bound points were a frame ago nobody knows.
+    if moved[i] == 2 or touches(view, instance, before[i]) or touches(view, instance, geometry.transforms[i]):
         out_states[s] = 1
 
 

@@ -21,6 +21,7 @@ import warp as wp
 from .clusters import to_double, to_single, widen
 from .intrinsics import load_vec4i
 from .masking import make_keep_surface
+from .projection import position_of
 from .shadow_lookup import ROUNDING, SNAP, pixel_size
 from .structs import (
     FLAG_MASKED,
@@ -92,6 +93,42 @@ def place_instances_kernel(
     out_low[i] = low
     out_high[i] = high
     out_inverses[i] = inverse
+
+
+@wp.kernel
+def refresh_points_kernel(
+    # Scene
+    geometry: Geometry,
+    # Params
+    first: wp.int32,
+    # Out
+    out_points: wp.array[wp.vec3],
+):
+    """Copy a mesh's bound points to its tree; what is not finite goes to the origin, where no face keeps it."""
+    i = wp.tid()
+    p = position_of(geometry, first + i)
+    if not wp.isfinite(p):
+        p = wp.vec3()
+    out_points[i] = p
+
+
+@wp.kernel
+def refresh_faces_kernel(
+    # Scene
+    geometry: Geometry,
+    # Params
+    first_vertex: wp.int32,
+    first_triangle: wp.int32,
+    # Out
+    out_indices: wp.array[wp.int32],
+):
+    """Write a mesh's faces for its tree; one with a vertex that is not finite becomes a point."""
+    i = wp.tid()
+    corner = load_vec4i(geometry.triangles, first_triangle + i)
+    good = wp.isfinite(position_of(geometry, corner[0]))
+    good = good and wp.isfinite(position_of(geometry, corner[1])) and wp.isfinite(position_of(geometry, corner[2]))
+    for k in range(3):
+        out_indices[3 * i + k] = wp.where(good, corner[k], corner[0]) - first_vertex
 
 
 @wp.func

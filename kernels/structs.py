@@ -106,10 +106,10 @@ class Transform:
 
 @wp.struct
 class Instance:
-    """What does not change from frame to frame about a placed mesh; sorted by world, shared ones first."""
+    """What stays about a placed mesh, but for the box of one with bound points; sorted by world, shared ones first."""
 
     mesh_origin: wp.vec3d  # taken out of the mesh's positions at load
-    bounds_low: wp.vec3  # box of the mesh's positions
+    bounds_low: wp.vec3  # box of the mesh's faces that can be drawn
     bounds_high: wp.vec3
     anchor_grid: wp.float32  # power of two: anchors are multiples of it
     id_base: wp.uint32  # first visible id, a multiple of CLUSTER_SIZE; in public instance order

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,6 +56,21 @@ def test_the_scene_file_example_loads_as_printed(tmp_path):
     scene = wd.load(tmp_path / "stage.toml")
     assert scene.triangle_count == 1 and len(scene.lights) == 1 and len(scene.cameras) == 1 and not scene.notes
     assert scene.instances[0].label == 3 and scene.settings.display.tone_mapping == "aces"
+
+
+def test_the_cloth_example_runs_as_printed(tmp_path):
+    (example,) = blocks((ROOT / "docs/device-arrays.md").read_text("utf-8"), "python")
+    # Warp reads a kernel's source from its file, so the example is run as one.
+    for printed, small in (
+        ("SIDE, SPACING, STEP = 96,", "SIDE, SPACING, STEP = 12,"),
+        ("960, height=540", "64, height=36"),
+        ("range(60)", "range(2)"),
+    ):
+        assert printed in example
+        example = example.replace(printed, small)
+    (tmp_path / "cloth.py").write_text(example)
+    subprocess.run([sys.executable, "cloth.py"], cwd=tmp_path, check=True, capture_output=True)
+    assert (tmp_path / "cloth.png").stat().st_size > 1000
 
 
 def test_the_example_is_short():

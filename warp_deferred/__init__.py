@@ -11,6 +11,7 @@ from .settings import Settings
 
 __version__ = "0.1.0"
 __all__ = [
+    "Buffer",
     "Camera",
     "CapacityError",
     "DeviceError",
@@ -24,6 +25,7 @@ __all__ = [
     "LoadWarning",
     "Material",
     "Mesh",
+    "Pass",
     "PointLight",
     "Renderer",
     "Scene",
@@ -40,6 +42,10 @@ def __getattr__(name: str) -> object:
         from . import frame, renderer
 
         return {"Renderer": renderer.Renderer, "Frame": frame.Frame}[name]
+    if name in ("Pass", "Buffer"):
+        from .passes import base
+
+        return getattr(base, name)
     if name in ("load", "LoadWarning"):
         from . import loading
 

@@ -7,6 +7,7 @@ orthographic depth is linear between near and far (1 to 0).
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -102,6 +103,8 @@ class Camera(Record):
                 raise input_error(
                     "Camera.intrinsics", "focal lengths and image size > 0 [px]", (self.intrinsics, self.image_size)
                 )
+        # Made with the camera, and not in the frame that first shows it.
+        _ = self.selector
         return self
 
     @classmethod
@@ -200,6 +203,16 @@ class Camera(Record):
         ) @ flip
         numbers = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]) + 0.5, float(k[1, 2]) + 0.5)
         return cls.from_matrix(matrix, intrinsics=numbers, image_size=size, **fields)
+
+    @functools.cached_property
+    def selector(self) -> int:
+        """World and lens in one number: all of a camera that can select another plan."""
+        return 8 * self.world + (self.aperture > 0.0) + 2 * (self.shutter > 0.0) + 4 * (self.bloom > 0.0)
+
+    @property
+    def lens_flags(self) -> int:
+        """What the lens calls for: 1 for an aperture, 2 for a shutter, 4 for bloom, joined."""
+        return self.selector & 7
 
     def pixel_projection(self, width: int, height: int) -> tuple[float, float, float, float]:
         """Return (fx, fy, cx, cy) [px] for an image of that size: x_px = fx x / -z + cx, y_px = -fy y / -z + cy.

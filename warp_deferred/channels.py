@@ -58,7 +58,7 @@ _TABLE = (
     Channel(
         "specular", "vec3", "linear Rec. 709", _RADIANCE, 0.0, _layer("specular", "RGB"), "Outgoing specular radiance."
     ),
-    Channel("alpha", "float32", "coverage", "1", 0.0, ("A",), "1 on a surface, 0 on the background."),
+    Channel("alpha", "float32", "coverage", "1", 0.0, ("A",), "Coverage: 1 on a surface, 0 on the background."),
     Channel("depth", "float32", "view", "m", _INF, ("Z",), "Linear view depth; +inf on the background."),
     Channel("normal", "vec3", "world", "1", 0.0, _layer("normal", "XYZ"), "Unit shading normal; 0 on the background."),
     Channel("position", "vec3", "world", "m", 0.0, _layer("position", "XYZ"), "Surface point; 0 on the background."),

@@ -24,6 +24,8 @@ class Clusters:
         triangles: (m, 4) int32: three vertices and the mesh-local id, cluster after cluster.
         first: (c,) int32, first row of each cluster in `triangles`.
         count: (c,) int32, rows of each cluster, 1 to 128.
+        low: (c, 3) float32, lowest corner of the box, object space.
+        high: (c, 3) float32, highest corner.
         center: (c, 3) float32, middle of the bounding sphere, object space.
         radius: (c,) float32.
         axis: (c, 3) float32, axis of the cone of face normals.
@@ -33,6 +35,8 @@ class Clusters:
     triangles: np.ndarray
     first: np.ndarray
     count: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
     center: np.ndarray
     radius: np.ndarray
     axis: np.ndarray
@@ -59,29 +63,34 @@ def morton_order(points: np.ndarray) -> np.ndarray:
     return np.argsort(code, kind="stable")
 
 
-def cut_clusters(positions: np.ndarray, triangles: np.ndarray) -> Clusters:
+def cut_clusters(positions: np.ndarray, triangles: np.ndarray, *, moving: bool = False) -> Clusters:
     """Cut a mesh.
 
     Args:
         positions: (n, 3) float32 vertex positions, object space.
         triangles: (m, 3) int32 vertex indices, all in range.
+        moving: Keep faces without an area: other positions may give them one. Only repeated vertices never can.
     """
     corners = positions[triangles].astype(np.float64)
     with np.errstate(invalid="ignore", over="ignore"):
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.abs(normals).max(axis=1, initial=0.0)
     drawable = np.isfinite(corners).all(axis=(1, 2)) & (size > 0.0)
+    if moving:
+        drawable = (triangles != triangles[:, [1, 2, 0]]).all(axis=1)
     ids = np.flatnonzero(drawable).astype(np.int32)
     if not len(ids):
         empty = np.zeros((0, 3), np.float32)
         none = np.zeros(0, np.float32)
         return Clusters(
-            np.zeros((0, 4), np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32), empty, none, empty, none
-        )
+            np.zeros((0, 4), np.int32), np.zeros(0, np.int32), np.zeros(0, np.int32),
+            empty, empty, empty, none, empty, none,
+        )  # fmt: skip
     if len(ids) > CLUSTER_SIZE:
         ids = ids[morton_order(corners[ids].mean(axis=1))]
-    corners, normals = corners[ids], normals[ids] / size[ids, None]
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    corners, normals, size = corners[ids], normals[ids], size[ids, None]
+    normals = np.divide(normals, size, out=np.zeros_like(normals), where=size > 0.0)
+    normals /= np.where(size > 0.0, np.linalg.norm(normals, axis=1, keepdims=True), 1.0)
     first = np.arange(0, len(ids), CLUSTER_SIZE)
     count = np.minimum(CLUSTER_SIZE, len(ids) - first)
     low = np.minimum.reduceat(corners.min(axis=1), first)
@@ -104,6 +113,8 @@ def cut_clusters(positions: np.ndarray, triangles: np.ndarray) -> Clusters:
         np.ascontiguousarray(rows),
         first.astype(np.int32),
         count.astype(np.int32),
+        low.astype(np.float32),
+        high.astype(np.float32),
         center,
         sphere,
         axis.astype(np.float32),

@@ -25,24 +25,30 @@ from .scene import Mesh, Scene
 from .textures import WRAP_CODES, TextureStore
 
 if TYPE_CHECKING:
+    from .point_store import PointStore
     from .ray_scene import RayScene
 
 __all__ = ["DeviceScene"]
 
 MAX_BLOCKS = 2**32 // CLUSTER_SIZE - 1
 MAX_ELEMENTS = 2**31 - 1
-_cut_cache: dict[int, tuple[weakref.ref, Clusters, np.ndarray | None]] = {}
+_cut_cache: dict[tuple[int, bool], tuple[weakref.ref, Clusters, np.ndarray | None]] = {}
 
 
-def _prepare(mesh: Mesh) -> tuple[Clusters, np.ndarray | None]:
-    """Clusters and normals of a mesh, made once per mesh; None for normals means each face's own."""
-    key = id(mesh.positions)
+def _prepare(mesh: Mesh, moving: bool) -> tuple[Clusters, np.ndarray | None]:
+    """Clusters and normals of a mesh, made once per mesh; None for normals means each face's own.
+
+    Of a mesh with moving points all that is made every frame is left for the device to fill in.
+    """
+    key = (id(mesh.positions), moving)
     if key not in _cut_cache or _cut_cache[key][0]() is not mesh.positions:
         normals = mesh.normals
-        if normals is None and mesh.smooth and len(mesh.triangles):
+        if moving:
+            normals = np.zeros_like(mesh.positions) if normals is not None or mesh.smooth else None
+        elif normals is None and mesh.smooth and len(mesh.triangles):
             normals = smooth_normals(mesh.positions, mesh.triangles)
         reference = weakref.ref(mesh.positions, lambda _: _cut_cache.pop(key, None))
-        _cut_cache[key] = (reference, cut_clusters(mesh.positions, mesh.triangles), normals)
+        _cut_cache[key] = (reference, cut_clusters(mesh.positions, mesh.triangles, moving=moving), normals)
     return _cut_cache[key][1:]
 
 
@@ -52,9 +58,15 @@ class DeviceScene:
     Attributes:
         geometry: `structs.Geometry` for kernels.
         materials: Array of `structs.Material`.
+        points: What meshes with bound points need; None where no mesh has them.
+        order: Index in `Scene.instances` of each instance on the device.
+        first_vertex: id of a mesh -> its first vertex.
+        first_triangle: id of a mesh -> its first triangle.
+        cluster_range: id of a mesh -> its first cluster, clusters.
         triangle_count: Triangles over all instances.
         cluster_slots: (instance, cluster) pairs.
         meshes: Each mesh once.
+        bound: id of each mesh with bound points.
         mesh_of: Index in `meshes` of each instance, in the order of instances on the device.
         worlds: World of each instance, in that order.
         bytes: Device memory held.
@@ -63,12 +75,13 @@ class DeviceScene:
     def __init__(self, scene: Scene, device: wp.Device) -> None:
         self.device = device
         self.meshes = list({id(i.mesh): i.mesh for i in scene.instances}.values())
-        prepared = {id(m): _prepare(m) for m in self.meshes}
+        self.bound = {id(mesh) for binding in scene.point_bindings for mesh in binding.meshes}
+        prepared = {id(m): _prepare(m, id(m) in self.bound) for m in self.meshes}
         self._check_capacity(scene, prepared)
-        self._order = sorted(range(len(scene.instances)), key=lambda k: (scene.instances[k].world, k))
+        self.order = sorted(range(len(scene.instances)), key=lambda k: (scene.instances[k].world, k))
         numbers = {id(mesh): k for k, mesh in enumerate(self.meshes)}
-        self.mesh_of = [numbers[id(scene.instances[k].mesh)] for k in self._order]
-        self.worlds = [scene.instances[k].world for k in self._order]
+        self.mesh_of = [numbers[id(scene.instances[k].mesh)] for k in self.order]
+        self.worlds = [scene.instances[k].world for k in self.order]
         self._rays: RayScene | None = None
         self._textures = TextureStore(device)
         self._build_materials(scene)
@@ -77,6 +90,13 @@ class DeviceScene:
         self._build_meshes(prepared)
         self._build_instances(scene, prepared)
         self.bytes = sum(a.capacity for a in self._arrays.values()) + self._textures.bytes
+        self.points: PointStore | None = None
+        if self.bound:
+            # Its kernels are imported for the scenes that need them alone.
+            from .point_store import PointStore
+
+            self.points = PointStore(scene, self)
+            self.bytes += self.points.bytes
         self.update_transforms(scene)
 
     @staticmethod
@@ -134,7 +154,7 @@ class DeviceScene:
         return row
 
     def _build_meshes(self, prepared: dict[int, tuple[Clusters, np.ndarray | None]]) -> None:
-        self._first_triangle, self._first_cluster = {}, {}
+        self.first_vertex, self.first_triangle, self.cluster_range = {}, {}, {}
         vertex = triangle = cluster_row = cluster = 0
         parts: dict[str, list[np.ndarray]] = {
             k: [] for k in ("positions", "normals", "uvs", "colors", "triangles", "rows", "clusters")
@@ -145,7 +165,8 @@ class DeviceScene:
         for mesh in self.meshes:
             cut, normals = prepared[id(mesh)]
             count = len(mesh.positions)
-            self._first_triangle[id(mesh)], self._first_cluster[id(mesh)] = triangle, cluster
+            self.first_vertex[id(mesh)], self.first_triangle[id(mesh)] = vertex, triangle
+            self.cluster_range[id(mesh)] = cluster, len(cut.first)
             parts["positions"].append(mesh.positions)
             if any_normals:
                 parts["normals"].append(np.zeros((count, 3), np.float32) if normals is None else normals)
@@ -186,18 +207,18 @@ class DeviceScene:
         slots: list[np.ndarray] = []
         starts: dict[int, tuple[int, int]] = {}
         slot_count = 0
-        for place, k in enumerate(self._order):
+        for place, k in enumerate(self.order):
             instance, mesh = instances[k], instances[k].mesh
             cut, normals = prepared[id(mesh)]
             row = table[place]
             row["mesh_origin"] = mesh.origin
-            if len(mesh.positions):
-                row["bounds_low"], row["bounds_high"] = mesh.positions.min(axis=0), mesh.positions.max(axis=0)
+            if len(cut.first):
+                row["bounds_low"], row["bounds_high"] = cut.low.min(axis=0), cut.high.max(axis=0)
             # In float64: two float32 corners may lie farther apart than float32 reaches; the grid stays normal.
             extent = float(np.subtract(row["bounds_high"], row["bounds_low"], dtype=np.float64).max())
             row["anchor_grid"] = 2.0 ** max(math.floor(math.log2(extent)) - 6, -126) if extent > 0.0 else 1.0
             row["id_base"] = bases[k] * CLUSTER_SIZE
-            row["public_id"], row["triangle_first"] = k, self._first_triangle[id(mesh)]
+            row["public_id"], row["triangle_first"] = k, self.first_triangle[id(mesh)]
             row["material"], row["label"] = self._material_of[id(instance.material)], instance.label
             m = instance.material
             row["flags"] = (
@@ -209,7 +230,7 @@ class DeviceScene:
             blocks[bases[k] : bases[k + 1]] = place
             starts.setdefault(instance.world, (place, slot_count))
             pairs = np.empty((len(cut.first), 2), np.int32)
-            pairs[:, 0], pairs[:, 1] = place, self._first_cluster[id(mesh)] + np.arange(len(cut.first))
+            pairs[:, 0], pairs[:, 1] = place, self.cluster_range[id(mesh)][0] + np.arange(len(cut.first))
             slots.append(pairs)
             slot_count += len(pairs)
         self.instance_count = len(instances)
@@ -254,7 +275,7 @@ class DeviceScene:
         """Upload the host's transforms, mesh origins folded in; float64 origins, float32 linear parts."""
         table = self._transform_table
         instances = scene.instances
-        for place, k in enumerate(self._order):
+        for place, k in enumerate(self.order):
             matrix = instances[k].transform
             row = table[place]
             row["linear"] = matrix[:3, :3]
@@ -294,8 +315,10 @@ def as_float_array(name: str, value: object, device: wp.Device, *shapes: tuple[i
         *shapes: Shapes that will do.
 
     Raises:
-        InputError: If it holds other numbers or has another shape.
+        InputError: If it holds other numbers, has another shape, or cannot be seen without a copy through the host.
     """
+    if not isinstance(value, wp.array) and not hasattr(value, "__dlpack__"):
+        raise input_error(name, "a Warp array, or one with __dlpack__", type(value).__name__, "wrap it with wp.array")
     array = value if isinstance(value, wp.array) else wp.from_dlpack(value)
     number = getattr(array.dtype, "_wp_scalar_type_", array.dtype)
     if number is not wp.float32:

@@ -7,8 +7,9 @@ import io
 from typing import Any
 
 from .device_scene import DeviceScene
-from .plan import PassReport, Plan
+from .plan import Plan
 from .scene import Scene
+from .selection import PassReport
 
 __all__ = ["Explanation", "MemoryReport"]
 
@@ -68,6 +69,8 @@ class Explanation:
                 f"light masks come in {bands} bands of tiles, culled and timed with shade; "
                 "light_culling.mask_budget_bytes holds them all in one if raised"
             )
+        if plan.replays > 1:
+            notes.append(f"the passes between start and average run {plan.replays} times; figures are of all of them")
         notes += plan.counters()
         return cls(title, rows, notes + list(scene.notes))
 
@@ -76,7 +79,7 @@ class Explanation:
         rows = [
             [
                 r.name,
-                "runs" if r.runs else "-",
+                "-" if not r.runs else "skipped" if r.active is False else "runs",
                 r.rung,
                 "" if r.milliseconds is None else f"{r.milliseconds:.3f}",
                 _size(r.bytes) if r.runs else "",
@@ -126,7 +129,7 @@ class MemoryReport:
         """Gather a plan's memory."""
         r = plan.resources
         tables = (
-            sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.size + r.lights.bytes
+            sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.bytes + r.lights.bytes
         )
         outputs = sum(a.capacity if a.capacity else a.size * 4 for a in (r.channels[n] for n in plan.outputs))
         return cls(dict(plan.memory), plan.arena.capacity, outputs, tables, scene.bytes, _mask_bands(plan))

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 
+from .clustering import CLUSTER_SIZE
 from .scene import Scene
 
 __all__ = ["Features"]
@@ -30,6 +31,9 @@ class Features:
         ambient: Ambient light is not zero.
         infinite_lights: Lights without a range, which are in every tile.
         casters: Lights of each kind (point, spot, directional) that declare a shadow.
+        bound_meshes: Meshes whose points come from bound arrays.
+        bound_vertices: Vertices of these.
+        bound_clusters: Most clusters these may have.
     """
 
     models: int
@@ -43,7 +47,10 @@ class Features:
     extra: bool
     ambient: bool
     infinite_lights: int
-    casters: tuple[int, int, int]
+    casters: tuple[int, int, int] = (0, 0, 0)
+    bound_meshes: int = 0
+    bound_vertices: int = 0
+    bound_clusters: int = 0
 
     @classmethod
     def of(cls, scene: Scene) -> Features:
@@ -57,6 +64,7 @@ class Features:
         for k, (_, group) in enumerate(scene.lights.groups()):
             kinds |= (len(group) > 0) << k
         local = (scene.lights.point, scene.lights.spot)
+        bound = [mesh for binding in scene.point_bindings for mesh in binding.meshes]
         emits = [max(m.emissive) > 0.0 for m in materials]
         return cls(
             models=models or 1,
@@ -71,4 +79,7 @@ class Features:
             ambient=max(scene.environment.ambient) > 0.0,
             infinite_lights=scene.lights.infinite_count(),
             casters=tuple(int(np.count_nonzero(group.casts_shadow)) for _, group in scene.lights.groups()),
+            bound_meshes=len(bound),
+            bound_vertices=sum(len(m.positions) for m in bound),
+            bound_clusters=sum(-(-len(m.triangles) // CLUSTER_SIZE) for m in bound),
         )

@@ -4,7 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["smooth_normals"]
+__all__ = ["smooth_normals", "weld"]
+
+
+def weld(positions: np.ndarray, normals: np.ndarray | None = None) -> np.ndarray:
+    """Number the places vertices lie at: (n,) group of each, equal where positions are, and normals where given.
+
+    Args:
+        positions: (n, 3) floats.
+        normals: (n, 3) floats that keep vertices apart: an edge stays hard where a file's normals make it so.
+    """
+    rows = np.asarray(positions, np.float64)
+    if normals is not None:
+        rows = np.concatenate([rows, normals], axis=1)
+    return np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def smooth_normals(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -21,8 +34,7 @@ def smooth_normals(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         (n, 3) float32 unit normals; zero where no face with an area touches.
     """
     points = np.asarray(positions, np.float64)
-    _, group = np.unique(points, axis=0, return_inverse=True)
-    group = group.reshape(-1)
+    group = weld(points)
     corners = points[triangles]
     face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(face, axis=1, keepdims=True)

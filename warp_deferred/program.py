@@ -3,6 +3,10 @@
 On CUDA the launches are captured into a graph. On the CPU they are recorded as commands and replayed by a few host
 threads: pixel passes split into bands of whole blocks, and since launches release the interpreter lock, the bands run
 side by side. Warp's CPU atomics are not atomic between host threads, so a launch that counts or bins runs on one.
+
+A frame of several samples a pixel is three parts: what runs once before the samples, what runs in each, and what runs
+once after them. Each is a graph, and the middle one is launched as often as there are samples; a counter on the device
+tells its kernels which one it is. A frame of one sample is one graph.
 """
 
 from __future__ import annotations
@@ -15,7 +19,10 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["FIRST", "Program"]
+__all__ = ["END", "FIRST", "SAMPLE", "START", "Program", "Section"]
+
+#: Parts of a frame.
+START, SAMPLE, END = 0, 1, 2
 
 
 class _First:
@@ -58,10 +65,25 @@ class _Command:
 
 @dataclasses.dataclass
 class Section:
-    """The commands of one pass: steps in order, each a list of callables that may run side by side."""
+    """The commands of one pass: steps in order, each a list of callables that may run side by side.
+
+    Attributes:
+        name: The pass.
+        part: START, SAMPLE or END.
+        condition: Device array of one int32; while it is 0 `otherwise` runs in place of the steps.
+        otherwise: Called while the section is skipped.
+    """
 
     name: str
+    part: int
+    condition: wp.array | None = None
+    otherwise: Callable[[], Any] | None = None
     steps: list[list[Callable[[], Any]]] = dataclasses.field(default_factory=list)
+
+    @property
+    def active(self) -> bool | None:
+        """Whether the condition holds, read back from the device; None without one."""
+        return None if self.condition is None else bool(self.condition.numpy()[0])
 
 
 class Program:
@@ -70,19 +92,27 @@ class Program:
     Attributes:
         device: Where it runs.
         threads: Host threads for CPU launches; 1 on CUDA.
+        samples: How often the sample part runs in a frame.
+        sections: The passes' sections in the order they run, all parts of the frame one after the other.
         kernels: Every kernel launched, for loading ahead and for tests.
     """
 
-    def __init__(self, device: wp.Device, threads: int) -> None:
-        self.device, self.threads = device, max(1, threads)
+    def __init__(self, device: wp.Device, threads: int, samples: int = 1) -> None:
+        self.device, self.threads, self.samples = device, max(1, threads), samples
         self.sections: list[Section] = []
         self.kernels: list[tuple[Any, int]] = []
-        self._graph: Any = None
+        self._graphs: list[tuple[Any, int]] = []
         self._streams: list[wp.Stream] = []
 
-    def begin(self, name: str) -> None:
-        """Start the section of a pass."""
-        self.sections.append(Section(name))
+    def begin(
+        self,
+        name: str,
+        part: int = SAMPLE,
+        condition: wp.array | None = None,
+        otherwise: Callable[[], Any] | None = None,
+    ) -> None:
+        """Start the section of a pass; parts come in order."""
+        self.sections.append(Section(name, part, condition, otherwise))
 
     def launch(
         self,
@@ -146,11 +176,16 @@ class Program:
             beside: Run it side by side with the step before, be it the last of the pass before; its buffer must be
                 free by then (`Buffer.early`).
         """
-        previous = next((s.steps for s in reversed(self.sections) if s.steps), None)
-        if beside and previous:
-            previous[-1].append(function)
+        here = self.sections[-1]
+        before = next((s for s in reversed(self.sections) if s.steps), None)
+        # Not across parts, which run a different number of times, nor into or out of a section that may be skipped.
+        if before is not None and before is not here:
+            alone = before.part != here.part or before.condition is not None or here.condition is not None
+            before = None if alone else before
+        if beside and before is not None:
+            before.steps[-1].append(function)
         else:
-            self.sections[-1].steps.append([function])
+            here.steps.append([function])
 
     def _command(
         self, kernel: Any, dims: list[int], inputs: list[Any], outputs: list[Any], block_dim: int, tiled: bool
@@ -162,7 +197,24 @@ class Program:
         return _Command(kernel, dims, inputs, outputs, self.device, block_dim)
 
     def run_section(self, section: Section) -> None:
-        """Run one pass's steps directly."""
+        """Run one pass's steps directly, or skip them."""
+        if section.condition is None:
+            self._run_steps(section)
+        elif self.device.is_cuda:
+            # Under capture a node of the graph decides; else the value is waited for and read.
+            wp.capture_if(section.condition, lambda: self._run_serially(section), section.otherwise)
+        elif section.active:
+            self._run_steps(section)
+        elif section.otherwise is not None:
+            section.otherwise()
+
+    def _run_serially(self, section: Section) -> None:
+        """Run steps on one stream: the body of a conditional node cannot fork."""
+        for step in section.steps:
+            for command in step:
+                command()
+
+    def _run_steps(self, section: Section) -> None:
         for step in section.steps:
             if len(step) == 1:
                 step[0]()
@@ -213,25 +265,53 @@ class Program:
                 if isinstance(command, _Command):
                     command.record()
 
+    @property
+    def parts(self) -> list[tuple[list[Section], int]]:
+        """Sections of each part of the frame that has any, and how often the part runs; one part for one sample."""
+        if self.samples == 1:
+            return [(self.sections, 1)]
+        parts = [([s for s in self.sections if s.part == part], 1) for part in (START, SAMPLE, END)]
+        return [(sections, self.samples if sections[0].part == SAMPLE else 1) for sections, _ in parts if sections]
+
     def capture(self) -> None:
-        """On CUDA: record all sections into one graph."""
-        if not self.device.is_cuda:
-            return
-        with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
-            for section in self.sections:
-                self.run_section(section)
-        self._graph = capture.graph
+        """On CUDA: record each part into a graph."""
+        graphs = []
+        for sections, count in self.parts:
+            with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
+                for section in sections:
+                    self.run_section(section)
+            graphs.append((capture.graph, count))
+        self._graphs = graphs
 
     def replay(self) -> None:
-        """Run the whole program once: the graph on CUDA, the recorded commands on the CPU."""
-        if self._graph is not None:
-            wp.capture_launch(self._graph)
-            return
-        for section in self.sections:
-            self.run_section(section)
+        """Run the whole program once: the graphs on CUDA, captured by the first call, or the commands on the CPU."""
+        if self.device.is_cuda and not self._graphs:
+            self.capture()
+        for graph, count in self._graphs:
+            for _ in range(count):
+                wp.capture_launch(graph)
+        if not self._graphs:
+            self.run()
+
+    def run(self, stop: int | None = None) -> None:
+        """Run the whole program once without graphs.
+
+        Args:
+            stop: Number of sections to run; a frame that ends in its sample part takes one sample only.
+        """
+        last = self.sections[:stop]
+        for sections, count in self.parts:
+            wanted = sections[: max(0, len(last))]
+            last = last[len(wanted) :]
+            for _ in range(count if len(wanted) == len(sections) else 1):
+                for section in wanted:
+                    self.run_section(section)
 
     def measure(self, repeats: int = 20) -> dict[str, list[float]]:
-        """Time each pass by itself: section name -> milliseconds of each repeat (device time on CUDA)."""
+        """Time each pass by itself: section name -> milliseconds of each repeat (device time on CUDA).
+
+        A pass of the sample part is timed for one sample. What the passes wrote is then no frame: replay to get one.
+        """
         times: dict[str, list[float]] = {section.name: [] for section in self.sections}
         if not self.device.is_cuda:
             for _ in range(repeats):

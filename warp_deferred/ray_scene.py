@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,7 @@ import warp as wp
 
 if TYPE_CHECKING:
     from .device_scene import DeviceScene
+    from .resources import Resources
 
 __all__ = ["RayScene"]
 
@@ -22,7 +24,8 @@ class RayScene:
         low: World box of each instance, written before every frame; vec3.
         high: Its other corner.
         inverses: World to object; mat33.
-        tree: Tree of the boxes, or None where there is no instance.
+        tree: Tree of the boxes.
+        bound: Trees of meshes whose points are bound.
     """
 
     def __init__(self, scene: DeviceScene) -> None:
@@ -35,6 +38,42 @@ class RayScene:
         self.high = wp.zeros(count, dtype=wp.vec3, device=device)
         self.inverses = wp.zeros(count, dtype=wp.mat33, device=device)
         self.tree = wp.Bvh(self.low, self.high)
+        self.bound = [
+            BoundTree(scene.first_vertex[id(mesh)], scene.first_triangle[id(mesh)], tree)
+            for mesh, tree in zip(scene.meshes, self._trees, strict=True)
+            if id(mesh) in scene.bound and tree is not None
+        ]
+
+
+@dataclasses.dataclass(frozen=True)
+class BoundTree:
+    """Tree of a mesh with bound points, and where the mesh lies in the scene's arrays."""
+
+    first_vertex: int
+    first_triangle: int
+    tree: wp.Mesh
+
+    def update(self, resources: Resources) -> None:
+        """Add the launches that bring it up to date."""
+        from .kernels import shadow_rays
+
+        program, geometry = resources.program, resources.scene.geometry
+        points, indices = self.tree.points, self.tree.indices
+        program.launch(
+            shadow_rays.refresh_points_kernel,
+            len(points),
+            [geometry, self.first_vertex],
+            [points],
+            block_dim=shadow_rays.BLOCK_DIM,
+        )
+        program.launch(
+            shadow_rays.refresh_faces_kernel,
+            len(indices) // 3,
+            [geometry, self.first_vertex, self.first_triangle],
+            [indices],
+            block_dim=shadow_rays.BLOCK_DIM,
+        )
+        program.call(self.tree.refit)
 
 
 def _mesh_tree(positions: np.ndarray, triangles: np.ndarray, device: wp.Device) -> wp.Mesh | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import operator
 import os
 import struct
@@ -14,6 +16,7 @@ from .camera import Camera
 from .channels import OUTPUTS
 from .checks import check_choice, check_count, input_error
 from .device_scene import DeviceScene, as_float_array
+from .effects import called_for
 from .errors import DeviceError
 from .explain import Explanation, MemoryReport
 from .features import Features
@@ -21,12 +24,13 @@ from .frame import Frame
 from .kernels import clusters as cluster_kernels
 from .light_store import LightStore
 from .memory import enough_memory
-from .passes.base import Request
-from .plan import Plan
+from .passes.base import Lens, Pass, Request
+from .plan import PASSES, Plan
 from .scene import Scene
+from .selection import check_passes, with_passes
 from .settings import Settings
-from .shadow_slots import ShadowTable, plan_slots, shadow_reason
-from .views import MAX_SIZE, ViewSize
+from .shadow_slots import ShadowTable, plan_slots
+from .views import MAX_SIZE, ViewLayout, ViewSize
 
 __all__ = ["Renderer"]
 
@@ -52,9 +56,10 @@ class Renderer:
         threads: Host threads on the CPU; the number of cores if left out.
         share_memory: Let transient buffers share memory; False keeps each whole until the next frame, so that single
             passes can be looked at and timed by themselves.
+        passes: Passes of your own, objects or classes of `warp_deferred.Pass`, see docs/custom-pass.md.
 
     Raises:
-        InputError: If a size, an output or a setting does not fit.
+        InputError: If a size, an output, a setting or a pass does not fit.
         DeviceError: If the device is not there.
     """
 
@@ -69,6 +74,7 @@ class Renderer:
         settings: Settings | None = None,
         threads: int | None = None,
         share_memory: bool = True,
+        passes: Sequence[Pass | type[Pass]] = (),
     ) -> None:
         if not isinstance(scene, Scene):
             raise input_error(
@@ -92,6 +98,7 @@ class Renderer:
         wanted = cores if threads is None else check_count("Renderer.threads", threads, 1, 256)
         self._threads = 0 if self.device.is_cuda else wanted
         self._share_memory = bool(share_memory)
+        self._passes = check_passes(passes, PASSES)
         self._plans: dict[Request, Plan] = {}
         self._device_scene: DeviceScene | None = None
         self._lights: dict[tuple[int, int], LightStore] = {}
@@ -159,7 +166,7 @@ class Renderer:
         plan.replay()
         self._generation += 1
         generation = self._generation
-        return Frame(plan.outputs, cameras, lambda: self._generation == generation)
+        return Frame(plan.shown, cameras, lambda: self._generation == generation)
 
     def _write_views(self, plan: Plan, block: memoryview, cameras: list[Camera]) -> None:
         """Pack the cameras, or copy the last bytes where they are the same objects: fixed views cost a copy."""
@@ -176,7 +183,7 @@ class Renderer:
             cluster_kernels.stage_cameras_kernel,
             dim=count,
             inputs=[array],
-            outputs=[resources.frame.views],
+            outputs=[resources.frame.uploaded],
             device=self.device,
             block_dim=cluster_kernels.BLOCK_DIM,
         )
@@ -198,11 +205,11 @@ class Renderer:
     def _look_up(self, cameras: list[Camera], progress: Callable[[str, int, int], None] | None) -> Plan:
         scene = self.scene
         seen = (scene.structure_revision, scene.lights.structure_revision, scene.look_revision)
-        worlds = tuple([c.world for c in cameras])
+        chosen = tuple([c.selector for c in cameras])
         # The common case, a frame like the last one, must not hash settings or requests.
         settings = self._settings or scene.settings
         fast = self._fast
-        if fast is not None and fast[0] == seen and fast[1] == worlds and fast[2] is settings:
+        if fast is not None and fast[0] == seen and fast[1] == chosen and fast[2] is settings:
             return fast[3]
         if self._device_scene is None or self._seen[:1] != seen[:1]:
             self._load_scene()
@@ -210,7 +217,7 @@ class Renderer:
             self._features = Features.of(scene)
             self._seen = seen
             self._requests.clear()
-        key = (worlds, settings)
+        key = (chosen, settings)
         if key not in self._requests:
             self._requests[key] = self._request(cameras)
         request, table = self._requests[key]
@@ -221,10 +228,10 @@ class Renderer:
             self._plans[request] = self._plans.pop(request)
             self._plan = plan
         slots = table.slots if table else ()
-        ranges = self._ranges([*worlds, *(slot.world for slot in slots)])
+        ranges = self._ranges([*(c.world for c in cameras), *(slot.world for slot in slots)])
         if table:
             plan.stage_shadows(table, ranges[len(cameras) :])
-        self._fast = (seen, worlds, settings, plan, ranges[: len(cameras)])
+        self._fast = (seen, chosen, settings, plan, ranges[: len(cameras)])
         return plan
 
     def _load_scene(self) -> None:
@@ -239,31 +246,39 @@ class Renderer:
         self._scene_key += 1
 
     def _request(self, cameras: list[Camera]) -> tuple[Request, ShadowTable | None]:
-        """What the frame asks of a plan, and its shadow maps."""
-        scene, settings, worlds = self._device_scene, self.settings, [c.world for c in cameras]
-        sizes, table = (ViewSize(self.width, self.height),) * len(cameras), None
-        if shadow_reason(self.outputs, self._features, settings.shadow):
-            table = plan_slots(self.scene.lights, worlds, settings.shadow)
-            worlds += [slot.world for slot in table.slots]
-            sizes += tuple(ViewSize(slot.size, slot.size, depth_only=True) for slot in table.slots)
-        ranges = [scene.view_range(w) for w in worlds]
-        instances = max(r[0] + r[2] for r in ranges)
-        slots = max(r[3] + r[5] for r in ranges)
+        """What the frame asks of a plan, and its shadow maps where it has shadows."""
         request = Request(
             outputs=self.outputs,
-            sizes=sizes,
-            settings=settings,
+            sizes=(ViewSize(self.width, self.height),) * len(cameras),
+            settings=self.settings,
             features=self._features,
-            shadow_slots=len(sizes) - len(cameras),
-            pairs=_capacity(sum(r[0] + r[2] for r in ranges), scene.instance_count),
-            candidates=_capacity(sum(r[3] + r[5] for r in ranges), scene.cluster_slots),
-            instances_per_view=_capacity(instances, scene.instance_count),
-            clusters_per_view=_capacity(slots, scene.cluster_slots),
+            **self._capacities([c.world for c in cameras]),
             scene_key=self._scene_key,
             threads=self._threads,
             share_memory=self._share_memory,
+            lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
-        return request, table
+        if self._passes:
+            request = with_passes(request, self._passes, ViewLayout(request.sizes, 16))
+        if not (request.lit and called_for(request, "shadow")):
+            return request, None
+        worlds = [c.world for c in cameras]
+        table = plan_slots(self.scene.lights, worlds, request.settings.shadow)
+        sizes = [ViewSize(slot.size, slot.size, depth_only=True) for slot in table.slots]
+        capacities = self._capacities(worlds + [slot.world for slot in table.slots])
+        sizes = (*request.sizes, *sizes)
+        return dataclasses.replace(request, sizes=sizes, shadow_slots=len(table.slots), **capacities), table
+
+    def _capacities(self, worlds: Sequence[int]) -> dict[str, int]:
+        """How much views of these worlds may see."""
+        scene = self._device_scene
+        ranges = [scene.view_range(w) for w in worlds]
+        return {
+            "pairs": _capacity(sum(r[0] + r[2] for r in ranges), scene.instance_count),
+            "candidates": _capacity(sum(r[3] + r[5] for r in ranges), scene.cluster_slots),
+            "instances_per_view": _capacity(max(r[0] + r[2] for r in ranges), scene.instance_count),
+            "clusters_per_view": _capacity(max(r[3] + r[5] for r in ranges), scene.cluster_slots),
+        }
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
         key = (request.features.light_capacity, request.cameras)
@@ -287,6 +302,8 @@ class Renderer:
         elif self._revision != scene.revision:
             device_scene.update_transforms(scene)
             self._revision = scene.revision
+        if device_scene.points is not None:
+            device_scene.points.stage(scene.point_bindings)
         if len(scene.lights):
             self._plan.resources.lights.update(scene.lights)
 

@@ -21,6 +21,11 @@ class FrameBlock:
 
     Behind them on the device lie the views of shadow maps, which kernels write. The pinned copies form a ring, so that
     the host can write the next frame while the device still reads the last.
+
+    Attributes:
+        uploaded: The views as the host or `poses` gave them, then the shadow maps'.
+        values: Frame values.
+        sampling: Whether the pass that is being built runs once a sample; then `views` are those of the sample.
     """
 
     RING_BYTES = 1 << 19
@@ -33,14 +38,16 @@ class FrameBlock:
         self.size = self.views_offset + views * view_size
         self.device = device
         self._block = wp.zeros(self.size + slots * view_size, dtype=wp.uint8, device=device)
-        self.views = wp.array(
+        self.uploaded = wp.array(
             ptr=self._block.ptr + self.views_offset, dtype=structs.View, shape=(views + slots,), device=device,
             copy=False,
         )  # fmt: skip
-        self._slots_offset = self.size
+        self._first_slot = views
         self.values = wp.array(
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
+        self._moved: wp.array | None = None
+        self.sampling = False
         pinned = device.is_cuda
         # One pinned allocation for all slots: enough that a host far ahead of the device still does not wait.
         slots = min(1024, max(4, self.RING_BYTES // self.size)) if pinned else 1
@@ -51,6 +58,20 @@ class FrameBlock:
         self._events: list[wp.Event | None] = [None] * len(self._slots)
         self._next = 0
 
+    @property
+    def views(self) -> wp.array:
+        """Views for the pass that is being built: moved ones in the sample part of a frame of several samples."""
+        return self._moved if self.sampling and self._moved is not None else self.uploaded
+
+    @property
+    def bytes(self) -> int:
+        """Device memory held."""
+        return self.size + (self._moved.capacity if self._moved is not None else 0)
+
+    def split(self) -> None:
+        """Give the sample part views of its own."""
+        self._moved = wp.zeros_like(self.uploaded)
+
     def begin(self) -> memoryview:
         """Return the host memory of the next block, waiting if the device still reads it."""
         event = self._events[self._next]
@@ -60,7 +81,10 @@ class FrameBlock:
 
     def write_slots(self, rows: np.ndarray) -> None:
         """Send what does not change from frame to frame about the views of shadow maps."""
-        wp.copy(self._block, wp.array(rows, dtype=wp.uint8, device="cpu", copy=False), dest_offset=self._slots_offset)
+        given = wp.array(rows, dtype=structs.View, device="cpu", copy=False)
+        for views in (self.uploaded, self._moved):
+            if views is not None:
+                wp.copy(views, given, dest_offset=self._first_slot)
 
     def upload(self) -> None:
         """Send the block written since `begin`."""

@@ -7,7 +7,8 @@ another look at what the scene calls for, `revision` (transforms) only for new n
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import model_validator
@@ -19,7 +20,7 @@ from .materials import Material, check_rgb
 from .records import Record
 from .settings import Settings
 
-__all__ = ["Environment", "Instance", "Mesh", "Scene"]
+__all__ = ["Environment", "Instance", "Mesh", "PointBinding", "Scene"]
 
 
 class Environment(Record):
@@ -178,6 +179,23 @@ class Instance:
         self._scene.structure_revision += 1
 
 
+class PointBinding(NamedTuple):
+    """Meshes whose points come from one array.
+
+    Attributes:
+        meshes: The meshes; their vertices follow one another in the array.
+        array: A device array, read before every frame, or a checked NumPy copy of the host's, (n, 3) float32.
+    """
+
+    meshes: tuple[Mesh, ...]
+    array: Any
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices over all its meshes."""
+        return sum(len(mesh.positions) for mesh in self.meshes)
+
+
 class Scene:
     """What there is to see.
 
@@ -199,6 +217,7 @@ class Scene:
         self.animate: Any = None
         self._instances: list[Instance] = []
         self._transforms: Any = None
+        self._points: dict[tuple[int, ...], PointBinding] = {}
         self._environment = Environment()
         self._camera: Camera | None = None
         self.settings = Settings()
@@ -255,6 +274,7 @@ class Scene:
         """Remove all instances; lights, cameras and environment stay."""
         self._instances.clear()
         self._transforms = None
+        self._points.clear()
         self.structure_revision += 1
 
     @property
@@ -306,6 +326,51 @@ class Scene:
                 raise input_error("Scene.bind_transforms", f"shape ({count}, 4, 4) or ({count}, 7)", f"<shape {shape}>")
         self._transforms = array
         self.revision += 1
+
+    @property
+    def point_bindings(self) -> tuple[PointBinding, ...]:
+        """The meshes whose points come from arrays, in the order they were bound."""
+        return tuple(self._points.values())
+
+    def bind_points(self, meshes: Mesh | Sequence[Mesh], array: Any) -> None:
+        """Take the points of meshes that deform (cloth, soft bodies, skins) from an array.
+
+        Normals that are smooth or were given are averaged anew from the faces, with hard edges and seams where the
+        mesh has them at load; bounds for culling are made anew. All instances of a mesh follow it. Another array for
+        the same meshes costs nothing; binding and unbinding load the scene anew. `bounds()` and framing stay with the
+        meshes' own positions.
+
+        Args:
+            meshes: A mesh of the scene, or several whose vertices follow one another in the array.
+            array: Warp, torch or JAX array, float32, (vertices, 3) [m], in the space of the positions the mesh was
+                made from; copied on the device before each frame, never read back. A face with a vertex that is not
+                finite is not drawn. Or a NumPy array of finite numbers, copied here and now. None unbinds.
+
+        Raises:
+            InputError: If a mesh is not in the scene or is bound together with others, or the array does not fit.
+        """
+        bound = (meshes,) if isinstance(meshes, Mesh) else tuple(meshes) if isinstance(meshes, Sequence) else ()
+        key = tuple(id(mesh) for mesh in bound)
+        if key not in self._points:
+            known = {id(instance.mesh) for instance in self._instances}
+            if not bound or len(set(key)) != len(key) or not known.issuperset(key):
+                raise input_error(
+                    "Scene.bind_points.meshes", "meshes of this scene, each once", meshes, "add them first"
+                )
+            if not {mesh for other in self._points for mesh in other}.isdisjoint(key):
+                raise input_error(
+                    "Scene.bind_points.meshes", "meshes that are bound alone or together as before", meshes
+                )
+        if array is None:
+            self.structure_revision += self._points.pop(key, None) is not None
+            return
+        count = sum(len(mesh.positions) for mesh in bound)
+        if not is_device_array(array):
+            array = check_array("Scene.bind_points", array, (count, 3), np.float32).copy()
+        elif tuple(array.shape) not in ((count, 3), (count,)):
+            raise input_error("Scene.bind_points", f"shape ({count}, 3)", f"<shape {tuple(array.shape)}>")
+        self.structure_revision += key not in self._points
+        self._points[key] = PointBinding(bound, array)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the world box of all instances as (low, high), each (3,) float64, or None for an empty scene."""

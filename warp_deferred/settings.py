@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import ShadowSettings
+from .effect_settings import AntiAliasingSettings, ShadowSettings
 from .records import Record
 
 __all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
@@ -76,6 +76,8 @@ class Settings(Record):
     """Lighting."""
     display: DisplaySettings = DisplaySettings()
     """Tone mapping."""
+    anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()
+    """Samples a pixel."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.

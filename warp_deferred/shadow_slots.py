@@ -8,17 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from .effect_settings import ShadowSettings
-from .features import Features
 from .kernels import structs
 from .lights import Lights
-from .passes.resolve import LIT_OUTPUTS
 
-__all__ = ["MAP_RUNGS", "ShadowSlot", "ShadowTable", "plan_slots", "shadow_reason"]
+__all__ = ["MAP_RUNGS", "ShadowSlot", "ShadowTable", "beyond_capacity", "plan_slots"]
 
 #: Rungs that look into maps.
 MAP_RUNGS = ("hard", "pcf", "pcss")
@@ -61,19 +59,7 @@ class ShadowTable:
     first: np.ndarray
 
 
-def shadow_reason(outputs: Collection[str], features: Features, settings: ShadowSettings) -> str | None:
-    """Reason why shadows are called for, or None; over host-side facts only."""
-    if settings.rung == "off" or not any(name in outputs for name in LIT_OUTPUTS) or not features.kinds:
-        return None
-    count = sum(features.casters)
-    if not count:
-        return "asked for, though no light casts a shadow" if settings.when == "always" else None
-    reason = f"{count} light{'s cast' if count > 1 else ' casts'} shadows"
-    left = _beyond_capacity(features.casters, settings)
-    return f"{reason}; {left} past the capacity, without" if left else reason
-
-
-def _beyond_capacity(casters: Sequence[int], settings: ShadowSettings) -> int:
+def beyond_capacity(casters: Sequence[int], settings: ShadowSettings) -> int:
     """Count casting lights (point, spot, directional) that have no map, since their kind's capacity is used up."""
     if settings.rung not in MAP_RUNGS:
         return 0

@@ -172,7 +172,7 @@ class ViewPacker:
             cull: Faces that are dropped.
 
         Returns:
-            The structs' bytes, uint8.
+            The structs.
         """
         rows = bytearray(self.size * len(worlds))
         for k, (world, own) in enumerate(zip(worlds, ranges, strict=True)):
@@ -182,7 +182,7 @@ class ViewPacker:
                 rows, k * self.size, 0.0, 0.0, 0.0, offset, *IDENTITY, 1.0, -1.0, 0.5 * size.width, 0.5 * size.height,
                 1.0, 1.0, 1.0, 0, CULL_MODES[cull], 1, 1, world, pitch, size.width, size.height, *tables, *own, 1,
             )  # fmt: skip
-        return np.frombuffer(rows, np.uint8)
+        return np.frombuffer(rows, np.dtype(structs.View.numpy_dtype()))
 
 
 def table_array(table: np.ndarray, device: wp.Device) -> wp.array:

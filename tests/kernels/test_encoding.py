@@ -18,7 +18,7 @@ from warp_deferred.kernels.encoding import (
     unpack_root,
     unpack_unorm,
 )
-from warp_deferred.kernels.shade import to_half
+from warp_deferred.kernels.image import to_half
 from warp_deferred.kernels.structs import GBuffer
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

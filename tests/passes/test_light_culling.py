@@ -211,7 +211,7 @@ def test_masks_of_the_largest_image_stay_within_the_default_budget(rung, tile):
     request = request_of(
         [ViewSize(16384, 16384)], budget, 10_000, f"light_culling.rung={rung}", f"light_culling.tile_size={tile}"
     )
-    stage = LightCullingPass(request, ViewLayout(request.sizes, tile))
+    stage = LightCullingPass().bound(request, ViewLayout(request.sizes, tile))
     held = mask_bytes(stage)
     whole = 4 * (16384 // tile) ** 2 * mask_words(request)[0]
     assert 0.75 * min(budget, whole) < held <= budget

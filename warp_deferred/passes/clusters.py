@@ -23,9 +23,13 @@ class ClustersPass(Pass):
         """Whatever is seen goes through it."""
         return "the scene has triangles" if self.request.candidates else None
 
+    def why_not(self) -> str:
+        """Nothing to draw."""
+        return "the scene has no triangles"
+
     def reads(self) -> tuple[str, ...]:
-        """Nothing but the scene."""
-        return ()
+        """Nothing but the scene, whose bound points must be up to date."""
+        return ("points",) if self.request.features.bound_meshes else ()
 
     def writes(self) -> dict[str, Buffer]:
         """Pairs and work list."""

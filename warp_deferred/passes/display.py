@@ -9,7 +9,7 @@ from ..kernels import display as kernels
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
-from .shade import ShadePass
+from .image import float_image, image_bytes, make_image
 
 __all__ = ["DisplayPass"]
 
@@ -19,6 +19,8 @@ class DisplayPass(Pass):
 
     name = "display"
     doc = "expose, tone map and encode"
+    image = "read"
+    scope = "frame_end"
 
     def called_for(self) -> str | None:
         """Only for its own output."""
@@ -28,28 +30,19 @@ class DisplayPass(Pass):
         """Tone curve."""
         return self.request.settings.display.tone_mapping
 
-    @property
-    def half(self) -> bool:
-        """Whether it reads half radiance."""
-        return not ShadePass(self.request, self.layout).float_color
-
-    def reads(self) -> tuple[str, ...]:
-        """Radiance."""
-        return ("radiance",) if self.half else ("color",)
-
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
         return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernel, upload the thresholds."""
-        self.kernel = kernels.make_display_kernel(self.request.settings.display.tone_mapping, self.half)
+        self.kernel = kernels.make_display_kernel(self.rung(), not float_image(self.request))
         self.thresholds = wp.array(color_kernels.srgb_thresholds(), dtype=wp.float32, device=resources.device)
 
     def run(self, resources: Resources) -> None:
         """One launch."""
-        radiance, color = resources.channel("radiance", wp.uint64), resources.channel("color", wp.vec3)
-        inputs = [resources.frame.views, resources.blocks, radiance, color, self.thresholds, FIRST]
+        image = make_image(resources, self.request, self.source)
+        inputs = [resources.frame.views, resources.blocks, image.half, image.full, self.thresholds, FIRST]
         resources.program.launch(
             self.kernel,
             len(self.layout.blocks) * 64,
@@ -61,4 +54,4 @@ class DisplayPass(Pass):
 
     def bytes_moved(self) -> int:
         """Radiance in, bytes out."""
-        return self.layout.pixels * ((8 if self.half else 12) + 4)
+        return self.layout.pixels * (image_bytes(self.request) + 4)

@@ -163,6 +163,10 @@ class LightCullingPass(Pass):
             return "the scene has lights"
         return None
 
+    def why_not(self) -> str:
+        """No light, or nothing lit."""
+        return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
+
     def rung(self) -> str:
         """Rung, tile size, and the bands where there are several."""
         s = self.request.settings.light_culling

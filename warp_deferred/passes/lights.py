@@ -16,6 +16,8 @@ class LightsPass(Pass):
 
     name = "lights"
     doc = "stage lights relative to each view"
+    # Samples move within the pixel, not the eye.
+    scope = "frame_start"
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""
@@ -23,6 +25,10 @@ class LightsPass(Pass):
             infinite = self.request.features.infinite_lights
             return "the scene has lights" + (f" ({infinite} without a range, in every tile)" if infinite else "")
         return None
+
+    def why_not(self) -> str:
+        """No light, or nothing lit."""
+        return "no light in the scene" if not self.request.features.kinds else "no lit output asked for"
 
     def reads(self) -> tuple[str, ...]:
         """Nothing but the scene."""

@@ -12,8 +12,8 @@ from ..kernels import merge as merge_kernels
 from ..kernels import raster as kernels
 from ..program import FIRST
 from ..resources import Resources
+from ..shadow_maps import clear_maps, keeps_maps
 from .base import Buffer, Pass
-from .shadow import clear_maps, keeps_maps
 
 __all__ = ["RasterPass", "large_stored"]
 

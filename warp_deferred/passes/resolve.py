@@ -17,7 +17,6 @@ LAYER_TYPES = {
     "normal": wp.vec3, "position": wp.vec3, "albedo": wp.vec3, "alpha": wp.float32, "instance_id": wp.int32,
     "semantic_id": wp.int32, "material_id": wp.int32, "triangle_id": wp.int32,
 }  # fmt: skip
-LIT_OUTPUTS = ("color", "display", "diffuse", "specular", "light_count")
 GBUFFER_FIELDS = {
     "normal": wp.uint32, "normal_wide": wp.uint32, "albedo": wp.uint32, "extra": wp.uint32,
     "full_normal": wp.vec4, "full_albedo": wp.vec4, "full_extra": wp.vec4,
@@ -25,8 +24,8 @@ GBUFFER_FIELDS = {
 
 
 def needs_gbuffer(request: Request) -> bool:
-    """Whether some output is lit."""
-    return any(name in request.outputs for name in LIT_OUTPUTS)
+    """Whether something lit is wanted."""
+    return request.lit
 
 
 def gbuffer_codec(request: Request) -> tuple[str, str, bool]:

@@ -10,14 +10,15 @@ from ..kernels import shade as kernels
 from ..kernels.light_culling import make_light_culling_kernels
 from ..program import FIRST
 from ..resources import Resources
-from .base import Buffer, Pass
+from ..shadow_maps import make_shadows, shadow_arguments, shadow_channels
+from .base import LIT_OUTPUTS, Buffer, Pass
+from .image import all_writes, float_image, make_image
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
-from .shadow import make_shadows, shadow_arguments, shadow_channels
 
 __all__ = ["ShadePass"]
 
-TYPES = {"color": wp.vec3, "diffuse": wp.vec3, "specular": wp.vec3, "light_count": wp.int32, "radiance": wp.uint64}
+TYPES = {"diffuse": wp.vec3, "specular": wp.vec3, "light_count": wp.int32}
 
 
 class ShadePass(Pass):
@@ -25,6 +26,7 @@ class ShadePass(Pass):
 
     name = "shade"
     doc = "accumulate diffuse and specular light"
+    image = "write"
 
     @functools.cached_property
     def bands(self) -> tuple[Band, ...]:
@@ -37,23 +39,15 @@ class ShadePass(Pass):
         return culls_by_band(self.request, self.bands)
 
     def called_for(self) -> str | None:
-        """Something lit is asked for."""
-        names = [n for n in ("color", "display", "diffuse", "specular", "light_count") if n in self.request.outputs]
+        """Something lit is asked for, or a user's own pass works on the image."""
+        names = [n for n in LIT_OUTPUTS if n in self.request.outputs]
+        if not names and self.request.lit:
+            names = [stage.name for stage in self.request.passes if stage.image]
         return f"{', '.join(names)} asked for" if names else None
-
-    @property
-    def float_color(self) -> bool:
-        """Whether radiance is kept in float32: it was asked for, or the setting says so."""
-        request = self.request
-        return (
-            "color" in request.outputs
-            or request.settings.shade.radiance == "float32"
-            or request.settings.gbuffer.rung == "full"
-        )
 
     def rung(self) -> str:
         """Radiance format."""
-        return "float32" if self.float_color else "half"
+        return "float32" if float_image(self.request) else "half"
 
     def reads(self) -> tuple[str, ...]:
         """G-buffer, masks, lights."""
@@ -68,15 +62,14 @@ class ShadePass(Pass):
         return tuple(names)
 
     def writes(self) -> dict[str, Buffer]:
-        """Radiance, and the parts asked for."""
-        names = [n for n in ("diffuse", "specular", "light_count") if n in self.request.outputs]
-        names.append("color" if self.float_color else "radiance")
-        return {n: Buffer(TYPES[n], max(self.layout.pixels, 1)) for n in names}
+        """The parts asked for."""
+        return {n: Buffer(t, max(self.layout.pixels, 1)) for n, t in TYPES.items() if n in self.request.outputs}
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernels, build the structs."""
         features = self.request.features
-        outputs = tuple(n for n in kernels.OUTPUTS if n in self.writes())
+        full = float_image(self.request)
+        outputs = ("color",) * full + tuple(n for n in TYPES if n in self.request.outputs)
         self.kernel = kernels.make_shade_kernel(
             gbuffer_codec(self.request),
             features.models,
@@ -95,6 +88,8 @@ class ShadePass(Pass):
         self.out = kernels.ShadeTarget()
         for name, dtype in TYPES.items():
             setattr(self.out, name, resources.channel(name, dtype))
+        image = make_image(resources, self.request, self.target)
+        self.out.color, self.out.radiance = image.full, image.half
 
     def run(self, resources: Resources) -> None:
         """One launch a band, after those that fill its masks where there are several."""
@@ -119,6 +114,6 @@ class ShadePass(Pass):
         read = 4 + sum(
             wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
         )
-        written = sum(wp.types.type_size_in_bytes(b.dtype) for b in self.writes().values())
+        written = sum(wp.types.type_size_in_bytes(b.dtype) for b in all_writes(self).values())
         masks = len(self.layout.tiles) * mask_words(self.request)[0] * 4 if self.culls else 0
         return self.layout.pixels * (read + written) + masks if needs_gbuffer(self.request) else 0

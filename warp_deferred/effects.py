@@ -1,0 +1,100 @@
+"""Optional effects: when each is called for, and where in the frame it stands.
+
+A rule looks at host-side facts alone: the request's features, lens, settings and outputs. What depends on the device
+is the pass's own `active`. The module of an effect's pass, and with it its kernels, is imported only once its rule
+says yes, so what a scene does not call for costs not even an import.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from .sampling import pixel_samples
+from .shadow_slots import beyond_capacity
+
+if TYPE_CHECKING:
+    from .passes.base import Pass, Request
+
+__all__ = ["EFFECTS", "Effect", "Verdict", "called_for"]
+
+
+class Verdict(NamedTuple):
+    """Whether an effect is called for, and why or why not."""
+
+    runs: bool
+    reason: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Effect:
+    """One optional pass.
+
+    Attributes:
+        name: Name of the pass; `bloom` is class `BloomPass`.
+        after: Name of the pass it comes after; effects after the same one keep the table's order; empty: first of all.
+        rule: Decides by a request.
+        module: File below passes/ it is in, where that is not its name; its settings, if any, bear its name.
+        quiet: Part of another effect, so `explain` need not say why it does not run.
+    """
+
+    name: str
+    after: str
+    rule: Callable[[Request], Verdict]
+    module: str = ""
+    quiet: bool = False
+
+    def load(self) -> type[Pass]:
+        """Import the pass."""
+        module = importlib.import_module(f".passes.{self.module or self.name}", __package__)
+        return getattr(module, "".join(word.capitalize() for word in self.name.split("_")) + "Pass")
+
+    def verdict(self, request: Request) -> Verdict:
+        """Ask the settings, which can turn it off or force it on, then the rule."""
+        settings: Any = getattr(request.settings, self.name, None)
+        if getattr(settings, "rung", "") == "off":
+            return Verdict(False, f"{self.name}.rung is off")
+        verdict = self.rule(request)
+        if not verdict.runs and getattr(settings, "when", "called_for") == "always":
+            return Verdict(True, f"{self.name}.when is always ({verdict.reason})")
+        return verdict
+
+
+def _sampled(request: Request) -> Verdict:
+    rungs = [f"anti_aliasing.rung={request.settings.anti_aliasing.rung}"] * (pixel_samples(request) > 1)
+    return Verdict(bool(rungs), ", ".join(rungs) or "no rung takes several samples a pixel")
+
+
+def _points(request: Request) -> Verdict:
+    count = request.features.bound_meshes
+    reason = f"{count} mesh{'es take' if count > 1 else ' takes'} points from arrays"
+    return Verdict(count > 0, reason if count else "no mesh takes its points from an array")
+
+
+def _shadow(request: Request) -> Verdict:
+    count = sum(request.features.casters)
+    if not count:
+        return Verdict(False, "no light casts a shadow")
+    if not request.lit:
+        return Verdict(False, "no lit output asked for")
+    left = beyond_capacity(request.features.casters, request.settings.shadow)
+    reason = f"{count} light{'s cast' if count > 1 else ' casts'} shadows"
+    return Verdict(True, reason + f"; {left} past the capacity, without" * (left > 0))
+
+
+#: Every optional effect, in frame order.
+EFFECTS: tuple[Effect, ...] = (
+    Effect("points", "", _points, quiet=True),
+    Effect("start_samples", "", _sampled, "sampling", quiet=True),
+    Effect("begin_sample", "", _sampled, "sampling", quiet=True),
+    Effect("shadow", "", _shadow),
+    Effect("accumulate", "shade", _sampled, "sampling"),
+    Effect("average", "accumulate", _sampled, "sampling", quiet=True),
+)
+
+
+def called_for(request: Request, name: str) -> bool:
+    """Whether an effect is called for, for passes that read what it writes."""
+    return any(effect.verdict(request).runs for effect in EFFECTS if effect.name == name)

@@ -1,0 +1,83 @@
+"""Several samples a pixel: how many a frame takes, and where in pixel, lens and shutter each one lies.
+
+Points are the first n of the five-dimensional Sobol' sequence (direction numbers of Joe and Kuo 2008), scrambled by
+Owen's nested permutations (Owen 1995) and moved to the middles of their n-ths. So each axis has one point in every
+n-th and its mean is exactly the middle, and the first two, the pixel's, have one in every rectangle of area 1/n whose
+sides are powers of a half: an edge of any common slope is crossed evenly.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .passes.base import Request
+
+__all__ = ["pixel_samples", "points", "sample_count", "sample_table"]
+
+#: Degree, coefficients and first direction numbers of the axes after the first, which is the bit-reversed count.
+JOE_KUO = ((1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)))
+
+
+def pixel_samples(request: Request) -> int:
+    """Samples that `anti_aliasing` asks for; 1 where its rung takes none."""
+    kind, _, count = request.settings.anti_aliasing.rung.partition("_")
+    return int(count) if kind == "samples" else 1
+
+
+def sample_count(request: Request) -> int:
+    """Samples a frame takes: the most that a rung asks for."""
+    return max([pixel_samples(request)])
+
+
+def _directions(bits: int) -> list[list[int]]:
+    """Direction numbers of each axis, as integers of `bits` bits."""
+    axes = [[1 << (bits - 1 - k) for k in range(bits)]]
+    for degree, coefficients, first in JOE_KUO:
+        m = list(first)
+        for k in range(degree, bits):
+            value = m[k - degree] ^ (m[k - degree] << degree)
+            for j in range(1, degree):
+                if coefficients >> (degree - 1 - j) & 1:
+                    value ^= m[k - j] << j
+            m.append(value)
+        axes.append([m[k] << (bits - 1 - k) for k in range(bits)])
+    return axes
+
+
+def points(count: int) -> np.ndarray:
+    """Return `count` points, a power of two, in the open unit cube: (count, 5) float64, the same on every machine."""
+    bits = count.bit_length() - 1
+    result = np.empty((count, len(JOE_KUO) + 1))
+    for axis, directions in enumerate(_directions(bits)):
+        for i in range(count):
+            value = 0
+            for k in range(bits):
+                if i >> k & 1:
+                    value ^= directions[k]
+            scrambled = 0
+            for k in range(bits):
+                # The bits above decide whether this one is flipped: one coin a node of the binary tree.
+                node = f"{axis}/{k}/{value >> (bits - k)}".encode()
+                flip = hashlib.blake2b(node, digest_size=1).digest()[0] & 1
+                scrambled = scrambled << 1 | ((value >> (bits - 1 - k) & 1) ^ flip)
+            result[i, axis] = (scrambled + 0.5) / count
+    return result
+
+
+def sample_table(request: Request, centre: bool) -> np.ndarray:
+    """Rows (jitter x, y [px], lens u, v in [0, 1), time in [0, 1), weight) of the samples of a frame, float32.
+
+    Args:
+        request: What is rendered.
+        centre: Add a last row at the pixel's centre, the lens's centre and time 0, of weight 0.
+    """
+    count = sample_count(request)
+    table = np.ones((count, 6), np.float32)
+    table[:, :5] = points(count)
+    table[:, :2] = table[:, :2] - 0.5 if pixel_samples(request) > 1 else 0.0
+    last = np.float32([[0.0, 0.0, 0.5, 0.5, 0.0, 0.0]])
+    return np.concatenate([table, last]) if centre else table
