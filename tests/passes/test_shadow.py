@@ -5,6 +5,9 @@ a plate or a box over a floor, so that the ray from a pixel to the light says wh
 the shadow's edge it is. A light seen past the edge by more than the stated bound must arrive whole to the bit.
 """
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import warp as wp
@@ -564,3 +567,69 @@ def test_maps_are_drawn_every_frame_where_they_are_not_kept(device):
     assert_same(images(kept.render()), images(plain.render()))
     scene.lights.spot.casts_shadow = np.array([True, True])
     assert_same(images(kept.render()), images(plain.render()))
+
+
+@pytest.mark.parametrize("rung", ["pcf", "ray_traced"])
+def test_samples_share_the_maps_of_their_frame(rung, device):
+    scene = mixed_scene()
+    values = ("anti_aliasing.rung=samples_4",)
+    whole = render(scene, "off", device, *values, names=("diffuse",))["diffuse"]
+    kept = render(scene, rung, device, *values, names=("diffuse",))["diffuse"]
+    plain = render(scene, rung, device, *values, "shadow.keep_maps=false", names=("diffuse",))["diffuse"]
+    one = render(scene, rung, device, names=("diffuse",))["diffuse"]
+    assert np.array_equal(kept, plain)
+    assert (kept < whole - 1e-6).mean() > 0.1 and np.all(kept <= whole + 1e-6)
+    # The average over a pixel is what its centre shows, but for the edges.
+    assert np.mean(np.abs(kept - one) > 0.05 * whole.max()) < 0.08
+    renderer = wd.Renderer(
+        scene, width=96, height=72, device=device, outputs=("diffuse",), settings=with_rung(rung, *values)
+    )
+    for _ in range(2):
+        assert np.array_equal(images(renderer.render())["diffuse"], kept)
+
+
+@pytest.mark.parametrize("rung", ["hard", "ray_traced"])
+def test_bound_points_move_their_shadow(rung, device):
+    scene = plate_scene("spot")
+    plate = scene.instances[1].mesh
+    start = plate.positions.copy()
+    bound = wp.array(start, dtype=wp.vec3, device=device)
+    scene.bind_points(plate, bound)
+    renderer = wd.Renderer(scene, width=96, height=72, device=device, outputs=("diffuse",), settings=with_rung(rung))
+    renderer.render()
+    renderer.render()
+    for shift in ((0.4, 0.2, -0.3), (-0.5, 0.0, 0.2)):
+        moved = start + np.array(shift, np.float32)
+        bound.assign(moved)
+        fresh = plate_scene("spot")
+        still = wd.Scene()
+        still.add(fresh.instances[0].mesh, transform=fresh.instances[0].transform, material=CLAY)
+        mesh = wd.Mesh(moved, plate.triangles)
+        still.add(mesh, transform=fresh.instances[1].transform, material=CLAY)
+        add_light(still, "spot")
+        still.camera = fresh.camera
+        expected = render(still, rung, device, names=("diffuse",))["diffuse"]
+        got = images(renderer.render())["diffuse"]
+        assert np.mean(np.abs(got - expected) > 1e-4) < 0.003
+    # A vertex that is not finite takes its faces along, not the others.
+    moved[0] = np.nan
+    bound.assign(moved)
+    assert np.isfinite(images(renderer.render())["diffuse"]).all()
+
+
+def test_nothing_of_it_is_imported_without_a_casting_light():
+    script = """
+import sys
+import warp as wp
+wp.config.log_level = wp.LOG_WARNING
+import warp_deferred as wd
+scene = wd.load("lambert_plane")
+for casts in (False, True):
+    scene.lights.point.casts_shadow = [casts]
+    wd.Renderer(scene, width=16, height=16, device="cpu").render()
+    parts = [name.split(".") for name in sys.modules if name.startswith("warp_deferred.")]
+    found = [p for p in parts if "shadow" in p[-1] and p[1] in ("kernels", "passes")]
+    assert bool(found) == casts, (casts, found)
+"""
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert result.returncode == 0, result.stderr
