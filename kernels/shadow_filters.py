@@ -3,9 +3,9 @@
 pcf weighs 4 x 4 comparisons by the product of (1-f, 2-f, 1+f, f) / 4 along each side, the tent 1 2 1 run over
 bilinear weights (Reeves et al. 1987, "Rendering Antialiased Shadows with Depth Maps", with fixed weights); f is in
 256ths, so that the weights sum to 1 exactly. pcss (Fernando 2005, "Percentage-Closer Soft Shadows") looks for blockers
-on a lattice of texels around the point, measured from the receiver's plane, and then weighs a disc as wide as the
-penumbra of their mean depth; the lattice stands still in the map, so there is neither noise nor banding. Both depths
-being linear in z, so is the penumbra's width.
+on a lattice of texels around the point and then weighs a disc as wide as the penumbra of their mean depth, both
+measured from the receiver's plane, along which z is linear over the map. The lattice stands still in the map, so there
+is neither noise nor banding. z being linear in what widens a penumbra, the mean of z is the mean to take.
 Larger z is nearer to the light. Functions only, no kernel.
 """
 
@@ -73,6 +73,12 @@ def pcf_factor(maps: ShadowMaps, tile: wp.vec4i, u: wp.float32, v: wp.float32, z
 
 
 @wp.func
+def plane_depth(z: wp.float32, slope: wp.vec2, dx: wp.float32, dy: wp.float32):
+    """Depth of the receiver's plane beside the point; never below that of an empty texel, though the plane may be."""
+    return wp.max(z + slope[0] * dx + slope[1] * dy, 0.0)
+
+
+@wp.func
 def lattice_step(radius: wp.float32, taps: wp.float32):
     """Power of two of texels between taps, so that at most `taps` fit a radius."""
     step = wp.int32(1)
@@ -101,7 +107,7 @@ def mean_blocker(
         while wp.float32(x) + 0.5 <= u + radius:
             dx = wp.float32(x) + 0.5 - u
             depth = bits_float(maps.keys[texel_index(tile, x, y)])
-            if dx * dx + dy * dy <= radius * radius and depth > z + slope[0] * dx + slope[1] * dy:
+            if dx * dx + dy * dy <= radius * radius and depth > plane_depth(z, slope, dx, dy):
                 total += depth
                 count += 1.0
             x += step
@@ -112,8 +118,10 @@ def mean_blocker(
 
 
 @wp.func
-def disc_factor(maps: ShadowMaps, tile: wp.vec4i, u: wp.float32, v: wp.float32, z: wp.float32, radius: wp.float32):
-    """Share of light by a disc of texels, soft over one step at its rim."""
+def disc_factor(
+    maps: ShadowMaps, tile: wp.vec4i, u: wp.float32, v: wp.float32, z: wp.float32, slope: wp.vec2, radius: wp.float32
+):
+    """Share of light by a disc of texels, soft over one step at its rim; z changes by `slope` a texel."""
     step = lattice_step(radius, 5.0)
     soft = wp.float32(step)
     outer = radius + 0.5 * soft
@@ -126,7 +134,7 @@ def disc_factor(maps: ShadowMaps, tile: wp.vec4i, u: wp.float32, v: wp.float32, 
             dx = wp.float32(x) + 0.5 - u
             weight = wp.clamp((outer - wp.sqrt(dx * dx + dy * dy)) / soft, 0.0, 1.0)
             total += weight
-            lit += weight * passes(maps, texel_index(tile, x, y), z)
+            lit += weight * passes(maps, texel_index(tile, x, y), plane_depth(z, slope, dx, dy))
             x += step
         y += step
     # The two sums are made alike, so all lit is 1 exactly.

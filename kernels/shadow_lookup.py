@@ -31,6 +31,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 #: Farthest texel centre from the point that a filter of radius 0 reads, and the 4 x 4 one [texel].
 REACH_HARD = wp.constant(0.70710678)
 REACH_PCF = wp.constant(2.8284271)
+#: pcss follows the receiver's plane from texel to texel, so its lift need not grow with the radius.
+REACH_PCSS = wp.constant(1.5)
 #: Two vertices snapped by half a 256th each along both axes [texel].
 SNAP = wp.constant(0.0078125)
 #: Sine that the quantised normal may be off: 1.2 degrees.
@@ -182,8 +184,7 @@ def make_filter(rung: str, parallel: bool):
     def filter_soft(
         maps: ShadowMaps, tile: wp.vec4i, m: MapView, q: wp.vec3, normal: wp.vec3, texel: wp.float32, slack: wp.float32
     ):
-        cosine = wp.dot(normal, m.back)
-        lifted = q + normal * lift(REACH_HARD, texel, cosine, slack)
+        lifted = q + normal * lift(REACH_PCSS, texel, wp.dot(normal, m.back), slack)
         p = project(m, lifted)
         if not inside(m, p):
             return wp.float32(1.0)
@@ -194,18 +195,17 @@ def make_filter(rung: str, parallel: bool):
             widest = spread * (1.0 - z)
         else:
             spread = m.source * m.scale / m.near
-            # A blocker nearer to the light than a quarter of the way counts as one there.
-            widest = spread * 3.0 * z
-        radius = wp.clamp(widest, 2.0, PCSS_RADIUS)
-        blocker = mean_blocker(maps, tile, p[0], p[1], biased(z), plane_slope(m, lifted, normal, z), radius)
+            # A blocker nearer to the light than an eighth of the way counts as one there.
+            widest = spread * 7.0 * z
+        search = wp.clamp(widest, 3.0, PCSS_RADIUS)
+        slope = plane_slope(m, lifted, normal, z)
+        blocker = mean_blocker(maps, tile, p[0], p[1], biased(z), slope, search)
         if blocker < 0.0:
             return wp.float32(1.0)
-        radius = wp.clamp(spread * (blocker - z), 1.5, PCSS_RADIUS)
-        # Half a step beyond the radius, which is a fifth of it at most, or half a texel.
-        p = project(m, q + normal * lift(radius * 1.2 + 0.5, texel, cosine, slack))
-        if not inside(m, p):
-            return wp.float32(1.0)
-        return disc_factor(maps, tile, p[0], p[1], biased(p[2]), radius)
+        # The disc and its soft rim, a fifth of it or half a texel, stay inside the search: where that loses sight of
+        # the last blocker, the disc has lost it already, and light does not jump.
+        radius = wp.clamp(spread * (blocker - z), 1.5, wp.min(search - 0.5, 0.83 * search))
+        return disc_factor(maps, tile, p[0], p[1], biased(z), slope, radius)
 
     return filter_soft if rung == "pcss" else filter_simple
 

@@ -47,7 +47,7 @@ def filter_kernel(
     out_values[i] = wp.vec4(
         hard_factor(maps, tile, u, v, z),
         pcf_factor(maps, tile, u, v, z),
-        disc_factor(maps, tile, u, v, z, radius),
+        disc_factor(maps, tile, u, v, z, wp.vec2(0.0, 0.0), radius),
         mean_blocker(maps, tile, u, v, z, wp.vec2(0.0, 0.0), radius),
     )
 
