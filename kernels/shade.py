@@ -33,19 +33,19 @@ BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
 BOUNDS = (64, 18)
 OUTPUTS = ("color", "diffuse", "specular", "light_count")
-#: (codec, models, kinds, polynomial, emissive, outputs, shadow): what CI compiles.
+#: (codec, models, kinds, polynomial, emissive, outputs, visible, shadow): what CI compiles.
 VARIANTS = [
-    (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count")),
-    (("compact", "oct24", True), 8, 3, False, True, ()),
-    (("compact", "oct24", True), 8, 4, False, False, ()),
-    (("compact", "oct24", False), 1, 1, False, False, ()),
-    (("compact", "oct24", False), 1, 0, False, False, ()),
-    (("full", "float32", True), 15, 7, True, True, ("color",)),
-    (("compact", "oct24", True), 8, 7, False, False, (), ("hard", 7, 3.0)),
-    (("compact", "oct24", True), 8, 4, False, False, (), ("pcf", 4, 6.0)),
-    (("compact", "oct24", True), 8, 7, False, False, (), ("pcf", 7, 6.0)),
-    (("compact", "oct24", True), 8, 7, False, False, (), ("pcss", 7, 40.0)),
-    (("compact", "oct24", True), 8, 7, False, False, (), ("ray_traced", 64, "none", True)),
+    (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count"), True),
+    (("compact", "oct24", True), 8, 3, False, True, (), True),
+    (("compact", "oct24", True), 8, 4, False, False, (), False),
+    (("compact", "oct24", False), 1, 1, False, False, (), False),
+    (("compact", "oct24", False), 1, 0, False, False, (), False),
+    (("full", "float32", True), 15, 7, True, True, ("color",), False),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("hard", 7, 3.0)),
+    (("compact", "oct24", True), 8, 4, False, False, (), False, ("pcf", 4, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("pcf", 7, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("pcss", 7, 40.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("ray_traced", 64, "none", True)),
 ]
 
 
@@ -68,6 +68,7 @@ def make_shade_kernel(
     polynomial: bool,
     emissive: bool,
     outputs: tuple[str, ...],
+    visible: bool,
     shadow: tuple | None = None,
 ):
     """Kernel that lights the G-buffer.
@@ -79,6 +80,7 @@ def make_shade_kernel(
         polynomial: Some light has the polynomial fall-off.
         emissive: Some material emits.
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
+        visible: Ambient light is multiplied by the ambient visibility; else nothing reads it.
         shadow: Arguments of `make_shadow_factor`, or "ray_traced" and those of `make_ray_factor`; None: none casts.
     """
     decode = make_gbuffer_codec(*codec)[1]
@@ -121,6 +123,7 @@ def make_shade_kernel(
         # In
         gbuffer: GBuffer,
         emission: wp.array[wp.vec3],
+        visibility: wp.array[wp.float32],
         lights: Lights,
         masks: LightMasks,
         shadows: Shadows,
@@ -182,7 +185,10 @@ def make_shade_kernel(
                                 count += 1
         albedo = diffuse_albedo(s)
         diffuse = wp.cw_mul(diffuse, albedo * INVERSE_PI)
-        total = diffuse + specular + wp.cw_mul(albedo, values[0].ambient) * s.occlusion
+        ambient = wp.cw_mul(albedo, values[0].ambient) * s.occlusion
+        if wp.static(visible):
+            ambient = ambient * visibility[i]
+        total = diffuse + specular + ambient
         if wp.static(emissive):
             if (s.flags & FLAG_EMISSIVE) != 0:
                 total += emission[i]

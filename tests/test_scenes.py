@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from warp_deferred.scenes import (
     _hall,
+    corner,
     furnace,
     hundred_lights,
     lambert_plane,
@@ -26,6 +27,7 @@ from warp_deferred.settings import GBufferSettings, Settings, ShadeSettings
 FULL = Settings(gbuffer=GBufferSettings(rung="full"), shade=ShadeSettings(radiance="float32"))
 #: Small forms of every scene, by name.
 SMALL = {
+    "corner": "corner",
     "furnace": "furnace",
     "hundred_lights": "hundred_lights",
     "lambert_plane": "lambert_plane",
@@ -229,7 +231,7 @@ def test_bad_parameters_are_named(name, message):
 
 @pytest.mark.parametrize("name", SMALL)
 def test_parameters_have_defaults_and_a_description(name):
-    module = {"furnace": furnace, "hundred_lights": hundred_lights, "lambert_plane": lambert_plane,
+    module = {"corner": corner, "furnace": furnace, "hundred_lights": hundred_lights, "lambert_plane": lambert_plane,
               "many_lights": many_lights, "shadows": shadows, "terrain": terrain}[name]  # fmt: skip
     described = inspect.getdoc(module.build)
     for parameter in inspect.signature(module.build).parameters.values():

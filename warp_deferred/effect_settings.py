@@ -1,4 +1,8 @@
-"""Settings of the optional effects: one class each, its `rung` from the neutral `off` to the reference."""
+"""Settings of the optional effects: one class each, its `rung` from the neutral `off` to the reference.
+
+`when` tells what may put an effect into the plan: "called_for" leaves it to the scene, "always" runs it although the
+scene does not call for it. `rung="off"` keeps it out whatever calls for it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,37 @@ from pydantic import Field
 
 from .records import Record
 
-__all__ = ["AntiAliasingSettings", "ShadowSettings"]
+__all__ = ["AmbientVisibilitySettings", "AntiAliasingSettings", "ShadowSettings"]
+
+
+class AmbientVisibilitySettings(Record):
+    """How much of the constant ambient light each surface point sees.
+
+    All rungs estimate the same number: the cosine-weighted share of the hemisphere in which nothing stands nearer than
+    the radius. Those below `ray_traced` know only the depths in the picture.
+    """
+
+    rung: Literal["off", "ssao", "gtao_half", "gtao", "ray_traced"] = "gtao"
+    """ssao: points around the surface tested against depth; gtao: horizons in depth; gtao_half: the same at half size;
+    ray_traced: rays against all triangles (reference). Root mean square errors against it, over the scene `corner`, are
+    at most: ssao 0.17, gtao_half 0.12, gtao 0.11; its own, with 256 rays, is a quarter of gtao's at most."""
+    when: Literal["called_for", "always"] = "called_for"
+    """called_for: where ambient light is not zero; always: wherever something is lit."""
+    radius_m: float | None = Field(None, ge=0.0)
+    """How far something may stand and still block light [m]; 0: nothing does. Left out: a 20th of the diagonal of the
+    scene's box, taken when the scene is loaded."""
+    power: float = Field(1.0, ge=0.0, le=16.0)
+    """Exponent applied to the visibility: 1 is physical, more is darker, 0 turns all into 1."""
+    slices: int = Field(2, ge=1, le=8)
+    """gtao: planes through the line of sight in which horizons are searched; time grows in proportion."""
+    steps: int = Field(3, ge=1, le=8)
+    """gtao: depths looked at on each side of a slice; time grows in proportion."""
+    samples: int = Field(16, ge=1, le=64)
+    """ssao: points tested a pixel; time grows in proportion."""
+    rays: int = Field(256, ge=1, le=65536)
+    """ray_traced: rays a pixel; time grows in proportion, the error falls with it."""
+    bias: float = Field(0.01, ge=0.0, le=0.5)
+    """ssao and ray_traced: how far tests start above the surface, as a share of the radius."""
 
 
 class AntiAliasingSettings(Record):

@@ -67,6 +67,15 @@ def _sampled(request: Request) -> Verdict:
     return Verdict(bool(rungs), ", ".join(rungs) or "no rung takes several samples a pixel")
 
 
+def _ambient_visibility(request: Request) -> Verdict:
+    if "ambient_visibility" in request.outputs:
+        return Verdict(True, "ambient_visibility asked for")
+    # Ambient light is part of the image, not of the outputs `diffuse` and `specular`.
+    if not any(name in request.outputs for name in ("color", "display")) and not any(p.image for p in request.passes):
+        return Verdict(False, "no output asked for shows ambient light")
+    return Verdict(request.features.ambient, f"ambient light is {'not ' * request.features.ambient}zero")
+
+
 def _points(request: Request) -> Verdict:
     count = request.features.bound_meshes
     reason = f"{count} mesh{'es take' if count > 1 else ' takes'} points from arrays"
@@ -87,6 +96,7 @@ def _shadow(request: Request) -> Verdict:
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
     Effect("points", "", _points, quiet=True),
+    Effect("ambient_visibility", "resolve", _ambient_visibility),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
     Effect("shadow", "", _shadow),

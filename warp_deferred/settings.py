@@ -6,10 +6,13 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AntiAliasingSettings, ShadowSettings
+from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings, ShadowSettings
 from .records import Record
 
-__all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
+__all__ = [
+    "AmbientVisibilitySettings", "DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings",
+    "Settings", "ShadeSettings",
+]  # fmt: skip
 
 
 class RasterSettings(Record):
@@ -74,6 +77,8 @@ class Settings(Record):
     """Shadows."""
     shade: ShadeSettings = ShadeSettings()
     """Lighting."""
+    ambient_visibility: AmbientVisibilitySettings = AmbientVisibilitySettings()
+    """How much of the ambient light each surface point sees."""
     display: DisplaySettings = DisplaySettings()
     """Tone mapping."""
     anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()

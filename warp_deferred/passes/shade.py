@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from ..effects import called_for
 from ..kernels import shade as kernels
 from ..kernels.light_culling import make_light_culling_kernels
 from ..program import FIRST
@@ -14,7 +15,7 @@ from ..shadow_maps import make_shadows, shadow_arguments, shadow_channels
 from .base import LIT_OUTPUTS, Buffer, Pass
 from .image import all_writes, float_image, make_image
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
-from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
+from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
 
 __all__ = ["ShadePass"]
 
@@ -56,6 +57,8 @@ class ShadePass(Pass):
             names.append("emission")
         if self.request.features.kinds:
             names += ["mask_words", "mask_summary", "staged_lights"]
+        if called_for(self.request, "ambient_visibility"):
+            names.append("ambient_visibility")
         if self.culls:
             names += ["mask_coarse", "mask_bounds", "mask_coarse_bounds"]
         names += shadow_channels(self.request)
@@ -77,6 +80,7 @@ class ShadePass(Pass):
             features.polynomial,
             features.emissive,
             outputs,
+            "ambient_visibility" in self.reads(),
             shadow_arguments(self.request),
         )
         self.shadows = make_shadows(resources, self.request)
@@ -95,6 +99,7 @@ class ShadePass(Pass):
         """One launch a band, after those that fill its masks where there are several."""
         frame = resources.frame
         emission = resources.channel("emission", wp.vec3)
+        visibility = resources.channel("ambient_visibility", wp.float32)
         for band, masks in zip(self.bands, self.masks, strict=True):
             if self.culls:
                 fill_masks(resources, self.request, self.culling, masks, band)
@@ -103,7 +108,18 @@ class ShadePass(Pass):
             resources.program.launch(
                 self.kernel,
                 (band.blocks.stop - band.blocks.start) * 64,
-                [frame.views, frame.values, blocks, self.gbuffer, emission, lights, masks, self.shadows, FIRST],
+                [
+                    frame.views,
+                    frame.values,
+                    blocks,
+                    self.gbuffer,
+                    emission,
+                    visibility,
+                    lights,
+                    masks,
+                    self.shadows,
+                    FIRST,
+                ],
                 [self.out],
                 block_dim=kernels.BLOCK_DIM,
                 band=64,
@@ -114,6 +130,7 @@ class ShadePass(Pass):
         read = 4 + sum(
             wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
         )
+        read += 4 * ("ambient_visibility" in self.reads())
         written = sum(wp.types.type_size_in_bytes(b.dtype) for b in all_writes(self).values())
         masks = len(self.layout.tiles) * mask_words(self.request)[0] * 4 if self.culls else 0
-        return self.layout.pixels * (read + written) + masks if needs_gbuffer(self.request) else 0
+        return self.layout.pixels * (read + written) + masks
