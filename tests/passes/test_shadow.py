@@ -100,7 +100,8 @@ def test_a_shadow_falls_where_geometry_says(kind, rung, device):
 
 @pytest.mark.parametrize("kind", ["directional", "spot", "point"])
 @pytest.mark.parametrize("rung", RUNGS)
-def test_s1_a_lit_plane_does_not_shadow_itself(kind, rung, device):
+@pytest.mark.parametrize("codec", [(), ("gbuffer.rung=compact", "gbuffer.normal=rgb8")], ids=["full", "rgb8"])
+def test_s1_a_lit_plane_does_not_shadow_itself(kind, rung, codec, device):
     for angle in (0.0, 20.0, 45.0, 70.0, 80.0, 85.0):
         for scale in (64, 256):
             scene = wd.Scene()
@@ -117,7 +118,7 @@ def test_s1_a_lit_plane_does_not_shadow_itself(kind, rung, device):
                 )
             scene.camera = wd.Camera.look_at((0.5, 2.2, 2.0), (0.0, 0.0, 0.0))
             sizes = [f"shadow.{name}_size={max(scale, 128)}" for name in ("directional", "spot", "point")]
-            factor, whole = share(scene, rung, device, *sizes)
+            factor, whole = share(scene, rung, device, *sizes, *codec)
             lit = whole["diffuse"][..., 1] > 0.0
             assert lit.sum() > 200
             assert np.all(factor[lit] == 1.0), (angle, scale, (factor[lit] < 1.0).sum(), np.nanmin(factor[lit]))
