@@ -52,6 +52,7 @@ class ViewLayout:
         tiles: (t, 4) int32: view, x, y and coarse tile of each light tile.
         coarse_tiles: (c, 4) int32: view, x, y, 0 of each coarse light tile.
         bin_tiles: (n, 4) int32: view, x, y, 0 of each raster bin.
+        shown_bins: Bins up to the last one of a view that keeps ids: those of shadow maps come after them.
     """
 
     def __init__(self, sizes: tuple[ViewSize, ...], tile_size: int) -> None:
@@ -68,6 +69,7 @@ class ViewLayout:
             )
         self.pixels, self.depth_pixels = pixels, depth_pixels
         self.fields: list[tuple[int, ...]] = []
+        self.shown_bins = 0
         offsets = {False: 0, True: 0}
         tables: dict[str, list[np.ndarray]] = {"blocks": [], "tiles": [], "coarse": [], "bins": []}
         counts = {"tiles": 0, "coarse": 0, "bins": 0}
@@ -97,6 +99,8 @@ class ViewLayout:
             offsets[s.depth_only] += s.width * s.height
             for name in counts:
                 counts[name] = sum(len(t) for t in tables[name])
+            if light:
+                self.shown_bins = counts["bins"]
         joined = {k: np.concatenate(t) if t else np.zeros((0, 4), np.int32) for k, t in tables.items()}
         self.blocks, self.tiles = joined["blocks"], joined["tiles"]
         self.coarse_tiles, self.bin_tiles = joined["coarse"], joined["bins"]

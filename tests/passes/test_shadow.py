@@ -634,3 +634,22 @@ for casts in (False, True):
 """
     result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert result.returncode == 0, result.stderr
+
+
+def test_other_passes_pay_nothing_for_the_maps(device):
+    scene = mixed_scene()
+    scene.environment = wd.Environment(ambient=(0.1, 0.1, 0.1))
+    plans = []
+    for rung in ("off", "pcf"):
+        renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=("color",), settings=with_rung(rung))
+        renderer.render()
+        plans.append(renderer.plan)
+    own = ("shadow", "depth_keys", "slice_depth_keys", "pairs", "work_entries", "bin_", "large_triangles")
+    for name, size in plans[0].memory.items():
+        if not name.startswith(own):
+            assert plans[1].memory[name] == size, name
+    for stage in plans[0].passes:
+        other = next(s for s in plans[1].passes if s.name == stage.name)
+        # Resolve's estimate knows only how many triangles all views may draw.
+        if stage.name not in ("clusters", "raster", "resolve"):
+            assert other.bytes_moved() == stage.bytes_moved(), stage.name
