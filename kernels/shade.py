@@ -32,11 +32,12 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
 BOUNDS = (64, 18)
-OUTPUTS = ("color", "diffuse", "specular", "light_count")
+OUTPUTS = ("color", "diffuse", "specular", "light_count", "bright")
 #: (codec, models, kinds, polynomial, emissive, outputs, visible, shadow): what CI compiles.
 VARIANTS = [
     (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count"), True),
     (("compact", "oct24", True), 8, 3, False, True, (), True),
+    (("compact", "oct24", True), 8, 3, False, True, ("bright",), True),
     (("compact", "oct24", True), 8, 4, False, False, (), False),
     (("compact", "oct24", False), 1, 1, False, False, (), False),
     (("compact", "oct24", False), 1, 0, False, False, (), False),
@@ -58,6 +59,8 @@ class ShadeTarget:
     diffuse: wp.array[wp.vec3]
     specular: wp.array[wp.vec3]
     light_count: wp.array[wp.int32]
+    bright: wp.array[wp.int32]  # set to 1 where exposed radiance is above a level: bloom has work this frame
+    bright_level: wp.float32
 
 
 @functools.cache
@@ -99,7 +102,9 @@ def make_shade_kernel(
         shadow_factor = make_shadow_factor(*shadow)
 
     @wp.func
-    def write(i: wp.int32, out: ShadeTarget, total: wp.vec3, diffuse: wp.vec3, specular: wp.vec3, count: wp.int32):
+    def write(
+        view: View, i: wp.int32, out: ShadeTarget, total: wp.vec3, diffuse: wp.vec3, specular: wp.vec3, count: wp.int32
+    ):
         if wp.static("color" in outputs):
             out.color[i] = store_limit(total, 3.0e38)
         else:
@@ -110,6 +115,12 @@ def make_shade_kernel(
             out.specular[i] = store_limit(specular, 3.0e38)
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
+        if wp.static("bright" in outputs):
+            peak = wp.max(total[0], wp.max(total[1], total[2])) * view.exposure
+            # Every thread that stores stores 1. After the first one a read is all that bright pixels cost.
+            if peak > out.bright_level and view.bloom > 0.0:
+                if out.bright[0] == 0:
+                    out.bright[0] = 1
 
     # A shadow look-up has more to keep than the bounds leave room for; spilling it would cost more than waiting.
     bounds = BOUNDS if shadow is None else None
@@ -143,7 +154,7 @@ def make_shade_kernel(
         depth = gbuffer.depth[i]
         zero = wp.vec3()
         if not wp.isfinite(depth):
-            write(i, out_target, values[0].background, zero, zero, 0)
+            write(view, i, out_target, values[0].background, zero, zero, 0)
             return
         s = decode(gbuffer, i)
         diffuse, specular = wp.vec3(), wp.vec3()
@@ -192,6 +203,6 @@ def make_shade_kernel(
         if wp.static(emissive):
             if (s.flags & FLAG_EMISSIVE) != 0:
                 total += emission[i]
-        write(i, out_target, total, diffuse, specular, count)
+        write(view, i, out_target, total, diffuse, specular, count)
 
     return shade_kernel

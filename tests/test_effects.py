@@ -49,7 +49,9 @@ def glow(monkeypatch):
         loads.append(name)
         return module
 
-    monkeypatch.setattr(effects, "EFFECTS", (*effects.EFFECTS, Effect("glow", "shade", glow_rule)))
+    # Bloom asks for the same lens.
+    others = [effect for effect in effects.EFFECTS if effect.name != "bloom"]
+    monkeypatch.setattr(effects, "EFFECTS", (*others, Effect("glow", "shade", glow_rule)))
     monkeypatch.setattr(effects.importlib, "import_module", importer)
     return loads
 

@@ -50,7 +50,7 @@ def _layer(name: str, suffixes: str) -> tuple[str, ...]:
 _INF = float("inf")
 _RADIANCE = "W/(m^2 sr), photometric: cd/m^2"
 _TABLE = (
-    Channel("color", "vec3", "linear Rec. 709", _RADIANCE, 0.0, ("R", "G", "B"), "Radiance before exposure."),
+    Channel("color", "vec3", "linear Rec. 709", _RADIANCE, 0.0, ("R", "G", "B"), "Radiance before exposure and bloom."),
     Channel("display", "vec4ub", "sRGB, 8 bits", "1", 0.0, (), "Exposed, tone mapped, encoded picture; R G B A."),
     Channel(
         "diffuse", "vec3", "linear Rec. 709", _RADIANCE, 0.0, _layer("diffuse", "RGB"), "Outgoing diffuse radiance."

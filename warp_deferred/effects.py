@@ -38,6 +38,7 @@ class Effect:
         rule: Decides by a request.
         module: File below passes/ it is in, where that is not its name; its settings, if any, bear its name.
         quiet: Part of another effect, so `explain` need not say why it does not run.
+        before: Name of the pass it comes right before, behind the user's own; `after` then says nothing.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Effect:
     rule: Callable[[Request], Verdict]
     module: str = ""
     quiet: bool = False
+    before: str = ""
 
     def load(self) -> type[Pass]:
         """Import the pass."""
@@ -93,6 +95,12 @@ def _shadow(request: Request) -> Verdict:
     return Verdict(True, reason + f"; {left} past the capacity, without" * (left > 0))
 
 
+def _bloom(request: Request) -> Verdict:
+    if "display" not in request.outputs:
+        return Verdict(False, "display was not asked for")
+    return Verdict(request.lens.bloom, f"{'a' if request.lens.bloom else 'no'} camera's lens has bloom")
+
+
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
     Effect("points", "", _points, quiet=True),
@@ -102,6 +110,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("shadow", "", _shadow),
     Effect("accumulate", "shade", _sampled, "sampling"),
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
+    Effect("bloom", "", _bloom, before="display"),
 )
 
 

@@ -17,7 +17,7 @@ __all__ = ["FrameBlock", "Resources"]
 
 
 class FrameBlock:
-    """Everything the host changes every frame, in one block and one copy: frame values, then the cameras' views.
+    """Everything the host changes every frame, in one block and one copy: frame values, a flag, then cameras' views.
 
     Behind them on the device lie the views of shadow maps, which kernels write. The pinned copies form a ring, so that
     the host can write the next frame while the device still reads the last.
@@ -25,6 +25,7 @@ class FrameBlock:
     Attributes:
         uploaded: The views as the host or `poses` gave them, then the shadow maps'.
         values: Frame values.
+        bright: One int32 that kernels set once bloom has work; the copy itself sets it back to 0.
         sampling: Whether the pass that is being built runs once a sample; then `views` are those of the sample.
     """
 
@@ -33,8 +34,9 @@ class FrameBlock:
     def __init__(self, views: int, slots: int, device: wp.Device) -> None:
         view_size = np.dtype(structs.View.numpy_dtype()).itemsize
         value_size = np.dtype(structs.FrameValues.numpy_dtype()).itemsize
+        self.values_offset, flag_offset = 0, value_size
         # Views hold float64.
-        self.values_offset, self.views_offset = 0, -(-value_size // 8) * 8
+        self.views_offset = -(-(flag_offset + 4) // 8) * 8
         self.size = self.views_offset + views * view_size
         self.device = device
         self._block = wp.zeros(self.size + slots * view_size, dtype=wp.uint8, device=device)
@@ -46,6 +48,7 @@ class FrameBlock:
         self.values = wp.array(
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
+        self.bright = wp.array(ptr=self._block.ptr + flag_offset, dtype=wp.int32, shape=(1,), device=device, copy=False)
         self._moved: wp.array | None = None
         self.sampling = False
         pinned = device.is_cuda

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings, ShadowSettings
+from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings, BloomSettings, ShadowSettings
 from .records import Record
 
 __all__ = [
@@ -79,6 +79,8 @@ class Settings(Record):
     """Lighting."""
     ambient_visibility: AmbientVisibilitySettings = AmbientVisibilitySettings()
     """How much of the ambient light each surface point sees."""
+    bloom: BloomSettings = BloomSettings()
+    """Light the lens scatters."""
     display: DisplaySettings = DisplaySettings()
     """Tone mapping."""
     anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()

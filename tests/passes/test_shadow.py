@@ -639,9 +639,12 @@ for casts in (False, True):
 def test_other_passes_pay_nothing_for_the_maps(device):
     scene = mixed_scene()
     scene.environment = wd.Environment(ambient=(0.1, 0.1, 0.1))
+    scene.camera = scene.camera.replace(bloom=0.5)
     plans = []
     for rung in ("off", "pcf"):
-        renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=("color",), settings=with_rung(rung))
+        renderer = wd.Renderer(
+            scene, width=64, height=48, device=device, outputs=("display",), settings=with_rung(rung)
+        )
         renderer.render()
         plans.append(renderer.plan)
     own = ("shadow", "depth_keys", "slice_depth_keys", "pairs", "work_entries", "bin_", "large_triangles")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import warp as wp
 
+from ..effects import called_for
 from ..kernels import color as color_kernels
 from ..kernels import display as kernels
+from ..kernels import structs
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
@@ -30,19 +32,34 @@ class DisplayPass(Pass):
         """Tone curve."""
         return self.request.settings.display.tone_mapping
 
+    @property
+    def blooms(self) -> bool:
+        """Whether bloom is in the plan."""
+        return called_for(self.request, "bloom")
+
+    def reads(self) -> tuple[str, ...]:
+        """Bloom where there is some."""
+        return ("bloom",) * self.blooms
+
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
         return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernel, upload the thresholds."""
-        self.kernel = kernels.make_display_kernel(self.rung(), not float_image(self.request))
+        self.bloom, kind = structs.Bloom(), ""
+        if self.blooms:
+            from .bloom import make_bloom
+
+            self.bloom = make_bloom(resources, self.request, self.layout)
+            kind = "full" if self.request.settings.bloom.rung == "exact" else "levels"
+        self.kernel = kernels.make_display_kernel(self.rung(), not float_image(self.request), kind)
         self.thresholds = wp.array(color_kernels.srgb_thresholds(), dtype=wp.float32, device=resources.device)
 
     def run(self, resources: Resources) -> None:
         """One launch."""
         image = make_image(resources, self.request, self.source)
-        inputs = [resources.frame.views, resources.blocks, image.half, image.full, self.thresholds, FIRST]
+        inputs = [resources.frame.views, resources.blocks, image.half, image.full, self.thresholds, self.bloom, FIRST]
         resources.program.launch(
             self.kernel,
             len(self.layout.blocks) * 64,
@@ -53,5 +70,6 @@ class DisplayPass(Pass):
         )
 
     def bytes_moved(self) -> int:
-        """Radiance in, bytes out."""
-        return self.layout.pixels * (image_bytes(self.request) + 4)
+        """Radiance and bloom in, bytes out."""
+        bloom = (12 if self.request.settings.bloom.rung == "exact" else 2) if self.blooms else 0
+        return self.layout.pixels * (image_bytes(self.request) + bloom + 4)

@@ -68,11 +68,22 @@ class ShadePass(Pass):
         """The parts asked for."""
         return {n: Buffer(t, max(self.layout.pixels, 1)) for n, t in TYPES.items() if n in self.request.outputs}
 
+    def _bright_level(self) -> float | None:
+        """Exposed radiance above which the pass tells bloom that it has work; None where nobody listens."""
+        if not called_for(self.request, "bloom"):
+            return None
+        from .bloom import bright_level
+
+        return bright_level(self.request)
+
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernels, build the structs."""
         features = self.request.features
         full = float_image(self.request)
         outputs = ("color",) * full + tuple(n for n in TYPES if n in self.request.outputs)
+        level = self._bright_level()
+        if level is not None:
+            outputs += ("bright",)
         self.kernel = kernels.make_shade_kernel(
             gbuffer_codec(self.request),
             features.models,
@@ -94,6 +105,7 @@ class ShadePass(Pass):
             setattr(self.out, name, resources.channel(name, dtype))
         image = make_image(resources, self.request, self.target)
         self.out.color, self.out.radiance = image.full, image.half
+        self.out.bright, self.out.bright_level = resources.frame.bright, level or 0.0
 
     def run(self, resources: Resources) -> None:
         """One launch a band, after those that fill its masks where there are several."""

@@ -160,7 +160,7 @@ class ShadowPass(Pass):
 
     def bytes_moved(self) -> int:
         """Views in and out, rows out."""
-        return self.request.shadow_slots * (2 * 184 + 64 + 16)
+        return self.request.shadow_slots * (2 * 192 + 64 + 16)
 
 
 def _send(array: wp.array, rows: np.ndarray) -> None:
