@@ -51,11 +51,26 @@ class AntiAliasingSettings(Record):
     The samples are averaged with equal weights in linear radiance before exposure and tone mapping: `color`, `display`,
     `diffuse`, `specular` and `alpha` (then the share of the pixel that is covered). The other outputs stay those of the
     pixel's centre, and asking for one of them takes one more run of the sample part. A sample that is very bright
-    stays very bright in the average.
+    stays very bright in the average. The cheapest rung, fxaa, takes no samples: it looks for edges in the picture and
+    changes `display` alone.
+
+    Share of the error of `off` that is left in `display`, against 256 samples, at most:
+
+    | | fxaa | samples_4 | samples_16 | samples_64 |
+    |---|---|---|---|---|
+    | straight edges of any slope, root mean square of linear light | 0.7 | 0.45 | 0.2 | 0.1 |
+    | the same, mean FLIP | 0.78 | 0.57 | 0.32 | 0.2 |
+    | built-in scenes, root mean square of linear light | 0.95 | 0.6 | 0.3 | 0.15 |
+    | the same, mean FLIP | 1.3 | 0.7 | 0.43 | 0.27 |
+
+    FLIP grows like the error to the power of 0.7. Above 1: fxaa takes fine details for stairs and softens them, so
+    that pictures full of them look smoother, but not more like the truth.
     """
 
-    rung: Literal["off", "samples_4", "samples_16", "samples_64"] = "off"
-    """samples_N: N points in every pixel, well spread; time grows by what precedes the picture, memory does not."""
+    rung: Literal["off", "fxaa", "samples_4", "samples_16", "samples_64"] = "off"
+    """fxaa: one pass over the picture, 8 bytes a pixel, and 4 of memory; edges along an axis stay sharp, details that
+    the pixels' centres miss stay missing. samples_N: N points in every pixel, well spread; time grows by what precedes
+    the picture, memory does not."""
 
 
 class BloomSettings(Record):

@@ -101,6 +101,13 @@ def _bloom(request: Request) -> Verdict:
     return Verdict(request.lens.bloom, f"{'a' if request.lens.bloom else 'no'} camera's lens has bloom")
 
 
+def _smoothed(request: Request) -> Verdict:
+    rung = request.settings.anti_aliasing.rung
+    if rung == "fxaa" and "display" not in request.outputs:
+        return Verdict(False, "no output asked for is a picture")
+    return Verdict(rung == "fxaa", f"anti_aliasing.rung={rung}")
+
+
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
     Effect("points", "", _points, quiet=True),
@@ -111,6 +118,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("accumulate", "shade", _sampled, "sampling"),
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
     Effect("bloom", "", _bloom, before="display"),
+    Effect("anti_aliasing", "display", _smoothed),
 )
 
 

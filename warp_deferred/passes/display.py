@@ -13,7 +13,10 @@ from ..resources import Resources
 from .base import Buffer, Pass
 from .image import float_image, image_bytes, make_image
 
-__all__ = ["DisplayPass"]
+__all__ = ["ALIASED", "DisplayPass"]
+
+#: Channel of the picture where a later pass makes the public one of it.
+ALIASED = "display_aliased"
 
 
 class DisplayPass(Pass):
@@ -37,13 +40,18 @@ class DisplayPass(Pass):
         """Whether bloom is in the plan."""
         return called_for(self.request, "bloom")
 
+    @property
+    def written(self) -> str:
+        """Name of the channel it writes."""
+        return ALIASED if called_for(self.request, "anti_aliasing") else "display"
+
     def reads(self) -> tuple[str, ...]:
         """Bloom where there is some."""
         return ("bloom",) * self.blooms
 
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
-        return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
+        return {self.written: Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernel, upload the thresholds."""
@@ -64,7 +72,7 @@ class DisplayPass(Pass):
             self.kernel,
             len(self.layout.blocks) * 64,
             inputs,
-            [resources.channels["display"]],
+            [resources.channels[self.written]],
             block_dim=kernels.BLOCK_DIM,
             band=64,
         )
