@@ -171,7 +171,7 @@ def prepare_pairs_kernel(
         out_work.counts[rank] = 0
     v = row + first
     view = views[v]
-    if rank >= view.shared_instances + view.own_count:
+    if view.skipped != 0 or rank >= view.shared_instances + view.own_count:
         return
     i = instance_of_rank(view, rank)
     instance = geometry.instances[i]
@@ -265,7 +265,7 @@ def classify_sphere(view: View, center: wp.vec3, radius: wp.float32):
             return 2
         return 1
     x, y, w = center[0], center[1], center[2]
-    if w < view.near - radius:
+    if w < view.near - radius or (view.depth_clamp != 0 and w > view.far + radius):
         return 0
     if outside_plane(x + cx * w, radius, fx, cx) or outside_plane((width - cx) * w - x, radius, fx, width - cx):
         return 0
@@ -295,7 +295,7 @@ def cull_clusters_kernel(
     """Keep the clusters each view may see; append them to the plain or the careful end of the work list."""
     v, j = wp.tid()
     view = views[v]
-    if j >= view.shared_clusters + view.own_cluster_count:
+    if view.skipped != 0 or j >= view.shared_clusters + view.own_cluster_count:
         return
     s = j
     if j >= view.shared_clusters:

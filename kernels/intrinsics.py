@@ -61,6 +61,19 @@ def load_vec4i(values: wp.array[wp.vec4i], index: wp.int32) -> wp.vec4i:
 
 
 @wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    reinterpret_cast<uint4*>(values.data + index)[0] = make_uint4(0, 0, 0, 0);
+#else
+    for (int k = 0; k < 4; ++k)
+        values.data[index + k] = 0;
+#endif
+""")
+def store_zeros(values: wp.array[wp.uint32], index: wp.int32):
+    """Clear four words in one access; the index is a multiple of four."""
+    ...
+
+
+@wp.func_native("""
     const wp::half x(r), y(g), z(b), w(1.0f);
     return static_cast<wp::uint64>(x.u) | (static_cast<wp::uint64>(y.u) << 16) | (static_cast<wp::uint64>(z.u) << 32)
         | (static_cast<wp::uint64>(w.u) << 48);

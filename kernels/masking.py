@@ -30,8 +30,30 @@ def wrap_texel(coordinate: wp.float32, size: wp.float32, mode: wp.int32):
 
 
 @functools.cache
+def make_keep_surface():
+    """Function that tells whether a masked material is there at a point of a triangle."""
+
+    @wp.func
+    def keep_surface(geometry: Geometry, instance: wp.int32, material: Material, v: wp.vec3i, weights: wp.vec3):
+        alpha = material.base_color[3]
+        if (geometry.instances[instance].flags & FLAG_COLORS) != 0:
+            color = mix4(weights, geometry.colors[v[0]], geometry.colors[v[1]], geometry.colors[v[2]])
+            alpha *= color[3]
+        if (material.textured & 1) != 0:
+            uv = mix2(weights, geometry.uvs[v[0]], geometry.uvs[v[1]], geometry.uvs[v[2]])
+            size = material.base_color_size
+            tx = (wrap_texel(uv[0], size[0], material.mask_wrap[0]) + 0.5) / size[0]
+            ty = (wrap_texel(uv[1], size[1], material.mask_wrap[1]) + 0.5) / size[1]
+            alpha *= wp.texture_sample(material.mask_texture, wp.vec2(tx, ty), dtype=float)
+        return alpha >= material.alpha_cutoff
+
+    return keep_surface
+
+
+@functools.cache
 def make_discard():
     """Function that tells whether a fragment of a masked material is there."""
+    keep_surface = make_keep_surface()
 
     @wp.func
     def keep_fragment(
@@ -43,16 +65,6 @@ def make_discard():
             relative_vertex(view, pair, position_of(geometry, v[1]), px, py),
             relative_vertex(view, pair, position_of(geometry, v[2]), px, py),
         ).weight
-        alpha = material.base_color[3]
-        if (geometry.instances[pair.instance].flags & FLAG_COLORS) != 0:
-            color = mix4(weights, geometry.colors[v[0]], geometry.colors[v[1]], geometry.colors[v[2]])
-            alpha *= color[3]
-        if (material.textured & 1) != 0:
-            uv = mix2(weights, geometry.uvs[v[0]], geometry.uvs[v[1]], geometry.uvs[v[2]])
-            size = material.base_color_size
-            tx = (wrap_texel(uv[0], size[0], material.mask_wrap[0]) + 0.5) / size[0]
-            ty = (wrap_texel(uv[1], size[1], material.mask_wrap[1]) + 0.5) / size[1]
-            alpha *= wp.texture_sample(material.mask_texture, wp.vec2(tx, ty), dtype=float)
-        return alpha >= material.alpha_cutoff
+        return keep_surface(geometry, pair.instance, material, v, weights)
 
     return keep_fragment

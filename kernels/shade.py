@@ -16,7 +16,16 @@ from .image import store_limit, to_half
 from .intrinsics import load_vec4, load_vec4i, lowest_bit
 from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, FrameValues, GBuffer, LightMasks, Lights, View
+from .structs import (
+    MODULE_OPTIONS,
+    PIXEL_BLOCK_AREA,
+    FrameValues,
+    GBuffer,
+    LightMasks,
+    Lights,
+    ShadowMaps,
+    View,
+)
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -24,7 +33,7 @@ BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
 BOUNDS = (64, 18)
 OUTPUTS = ("color", "diffuse", "specular", "light_count", "bright")
-#: (codec, models, kinds, polynomial, emissive, outputs, visible): what CI compiles.
+#: (codec, models, kinds, polynomial, emissive, outputs, visible, shadow): what CI compiles.
 VARIANTS = [
     (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count"), True),
     (("compact", "oct24", True), 8, 3, False, True, (), True),
@@ -33,6 +42,11 @@ VARIANTS = [
     (("compact", "oct24", False), 1, 1, False, False, (), False),
     (("compact", "oct24", False), 1, 0, False, False, (), False),
     (("full", "float32", True), 15, 7, True, True, ("color",), False),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("hard", 7, 3.0)),
+    (("compact", "oct24", True), 8, 4, False, False, (), False, ("pcf", 4, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("pcf", 7, 6.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("pcss", 7, 40.0)),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("ray_traced", 64, "none", True)),
 ]
 
 
@@ -51,7 +65,14 @@ class ShadeTarget:
 
 @functools.cache
 def make_shade_kernel(
-    codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...], visible: bool
+    codec: tuple,
+    models: int,
+    kinds: int,
+    polynomial: bool,
+    emissive: bool,
+    outputs: tuple[str, ...],
+    visible: bool,
+    shadow: tuple | None = None,
 ):
     """Kernel that lights the G-buffer.
 
@@ -63,10 +84,22 @@ def make_shade_kernel(
         emissive: Some material emits.
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
         visible: Ambient light is multiplied by the ambient visibility; else nothing reads it.
+        shadow: Arguments of `make_shadow_factor`, or "ray_traced" and those of `make_ray_factor`; None: none casts.
     """
     decode = make_gbuffer_codec(*codec)[1]
     view_lobe, reflect = make_reflectance(models)
     towards, arrive = make_arrive(kinds, polynomial)
+    # Only what a plan needs is loaded: the look-ups are no part of a frame without shadows.
+    shadow_factor, Shadows = None, ShadowMaps
+    if shadow is not None and shadow[0] == "ray_traced":
+        from .shadow_rays import ShadowRays as Shadows
+        from .shadow_rays import make_ray_factor
+
+        shadow_factor = make_ray_factor(*shadow[1:])
+    elif shadow is not None:
+        from .shadow_lookup import make_shadow_factor
+
+        shadow_factor = make_shadow_factor(*shadow)
 
     @wp.func
     def write(
@@ -89,7 +122,10 @@ def make_shade_kernel(
                 if out.bright[0] == 0:
                     out.bright[0] = 1
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=BOUNDS)
+    # A shadow look-up has more to keep than the bounds leave room for; spilling it would cost more than waiting.
+    bounds = BOUNDS if shadow is None else None
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=bounds)
     def shade_kernel(
         # Frame
         views: wp.array[View],
@@ -101,6 +137,7 @@ def make_shade_kernel(
         visibility: wp.array[wp.float32],
         lights: Lights,
         masks: LightMasks,
+        shadows: Shadows,
         # Params
         first: wp.int32,
         # Out
@@ -143,6 +180,12 @@ def make_shade_kernel(
                         facing = wp.dot(s.normal, to_light)
                         if facing > 0.0:
                             a = arrive(lights, light, place[3], to_light)
+                            # Shadows is named here too: a deferred annotation alone would not capture it.
+                            if wp.static(shadow is not None and Shadows is not None):
+                                if a.power > 0.0:
+                                    a.power *= shadow_factor(
+                                        shadows, view, base + light, light, point, to_light, s.normal, depth
+                                    )
                             if a.power > 0.0:
                                 n_dot_l = facing * a.inverse
                                 c = load_vec4(lights.color, light)

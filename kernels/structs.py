@@ -1,6 +1,6 @@
 """Structs shared by all kernels, and the constants that host and device agree on.
 
-Sizes in bytes (asserted by tests/kernels/test_structs.py): View 184, Transform 64, Instance 80, Pair 92, Cluster 48,
+Sizes in bytes (asserted by tests/kernels/test_structs.py): View 192, Transform 64, Instance 80, Pair 92, Cluster 48,
 LargeTriangle 48, BloomLevel 24, Material 128 on the device plus its textures' handles.
 
 Only arrays whose content may change from frame to frame hold per-frame values; a captured graph freezes what is
@@ -55,6 +55,10 @@ LIGHT_SPOT = wp.constant(1)
 LIGHT_DIRECTIONAL = wp.constant(2)
 LIGHT_POLYNOMIAL = wp.constant(4)
 
+SLOT_SPOT = wp.constant(0)
+SLOT_FACE = wp.constant(1)
+SLOT_CASCADE = wp.constant(2)
+
 
 @wp.struct
 class View:
@@ -66,11 +70,11 @@ class View:
     scale: wp.vec2  # (fx, -fy): pixels per unit of x/w, y/w (orthographic: per metre)
     center: wp.vec2  # principal point [px], jitter included
     near: wp.float32  # near plane [m]
-    far: wp.float32  # far plane [m], orthographic only
+    far: wp.float32  # far plane [m]; perspective: what lies wholly beyond it is culled where depth_clamp is set
     exposure: wp.float32  # linear factor
     projection: wp.int32  # PERSPECTIVE or ORTHOGRAPHIC
     cull_mode: wp.int32
-    depth_clamp: wp.int32  # orthographic: clamp depth to [0, 1] instead of dropping fragments
+    depth_clamp: wp.int32  # orthographic: clamp depth to [0, 1] instead of dropping fragments; perspective: cull by far
     depth_only: wp.int32  # 32-bit keys, no attributes
     world: wp.int32  # -1 sees all
     row_pitch: wp.int32  # pixels from one row to the next
@@ -89,6 +93,7 @@ class View:
     shared_clusters: wp.int32
     own_cluster_first: wp.int32
     own_cluster_count: wp.int32
+    skipped: wp.int32  # 1: nothing is drawn, as for the shadow map of a light that is out
     bloom: wp.float32  # share of light the lens scatters
 
 
@@ -280,6 +285,17 @@ class LightMasks:
     first_coarse: wp.int32
     tile_shift: wp.int32  # log2 of the tile size
     coarse_shift: wp.int32  # log2 of the tiles along a coarse tile's side
+
+
+@wp.struct
+class ShadowMaps:
+    """Maps of the lights that cast shadows, as shading reads them."""
+
+    first: wp.array[wp.int32]  # [view * light capacity + light]: first slot, -1: casts no shadow
+    rows: wp.array[wp.vec4]  # four a slot: axes right, up, backward, each with its offset [m]; then
+    # texels per unit of x/w (orthographic: per metre), near, far [m], radius of the source [m] (directional: tangent)
+    tiles: wp.array[wp.vec4i]  # first texel, side [texel], SLOT_*, slots of the light from this one on
+    keys: wp.array[wp.uint32]  # bits of z, larger is nearer to the light
 
 
 @wp.struct

@@ -99,7 +99,7 @@ class Blooming:
         shares = np.broadcast_to(shares, len(images))
         exposures = np.broadcast_to(exposures, len(images))
         cameras = [wd.Camera(bloom=float(s), exposure=float(e)) for s, e in zip(shares, exposures, strict=True)]
-        block = self.resources.frame.begin()
+        block = self.resources.frame.begin()[self.resources.frame.views_offset :]
         ViewPacker(self.layout, "back").write(block, cameras, [(0,) * 7] * len(cameras))
         self.resources.frame.upload()
         self.resources.frame.bright.fill_(bright)

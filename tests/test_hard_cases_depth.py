@@ -133,7 +133,7 @@ def test_t6_depth_is_clipped_or_clamped(device):
     # Clamping is what depth-only views ask for; the same plan with the flag set shows it with ids.
     plan = renderer.plan
     frame = plan.resources.frame
-    plan.packer.write(frame.begin(), [camera], renderer._ranges([camera]), depth_clamp=True)
+    plan.packer.write(frame.begin()[frame.views_offset :], [camera], renderer._ranges([camera.world]), depth_clamp=True)
     frame.upload()
     plan.replay()
     z = 1.0 - plan.outputs["depth"].numpy()[0][:, ::4] / FAR

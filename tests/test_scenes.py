@@ -15,6 +15,7 @@ from warp_deferred.scenes import (
     hundred_lights,
     lambert_plane,
     many_lights,
+    shadows,
     shapes,
     spheres_50k,
     terrain,
@@ -38,10 +39,11 @@ SMALL = {
     "lambert_plane": "lambert_plane",
     "many_lights": "many_lights?lights=200&triangles=6000",
     "spheres_50k": "spheres_50k",
+    "shadows": "shadows",
     "terrain": "terrain?triangles=5000&lights=100",
     "terrain_400k": "terrain_400k?triangles=5000",
 }
-MOVING = ("fullscreen_spots", "hundred_lights", "many_lights", "spheres_50k", "terrain", "terrain_400k")
+MOVING = ("fullscreen_spots", "hundred_lights", "many_lights", "shadows", "spheres_50k", "terrain", "terrain_400k")
 CLOSED = {
     "box": (shapes.box(1.0, 2.0, 3.0, cells=3), 6.0),
     "bevelled_box": (shapes.bevelled_box(1.0, 2.0, 3.0, 0.1), 6.0),
@@ -208,7 +210,7 @@ def test_a_scene_that_moves_is_let_go(name):
 
 
 def test_animating_a_foreign_scene_says_whose_it_must_be():
-    for module in (fullscreen_spots, hundred_lights, many_lights, spheres_50k, terrain_400k):
+    for module in (fullscreen_spots, hundred_lights, many_lights, shadows, spheres_50k, terrain_400k):
         with pytest.raises(InputError, match="build"):
             module.animate(wd.Scene(), 0.0)
 
@@ -344,6 +346,22 @@ def test_every_scene_shows_something_finite(name):
     color, display = frame.numpy("color"), frame.numpy("display")
     assert np.isfinite(color).all() and color.min() >= 0.0
     assert display[..., :3].max(axis=-1).mean() > 25.0
+
+
+def test_each_kind_of_light_casts_a_shadow_in_the_courtyard():
+    for kind in ("sun", "lamp", "moon"):
+        scene = shadows.build(**{name: float(name == kind) for name in ("sun", "lamp", "moon")})
+        assert scene.lights.casts_shadow
+        pictures = []
+        for rung in ("off", "pcf"):
+            settings = Settings().with_values([f"shadow.rung={rung}", "shadow.directional_size=512"])
+            renderer = wd.Renderer(
+                scene, width=96, height=54, device="cpu", outputs=("diffuse", "light_count"), settings=settings
+            )
+            pictures.append(renderer.render().numpy("diffuse")[0].sum(axis=-1))
+        lit = pictures[0] > 0.01 * pictures[0].max()
+        shaded = lit & (pictures[1] < 0.01 * pictures[0])
+        assert 0.05 < shaded.sum() / lit.sum() < 0.8, kind
 
 
 def test_the_hall_is_closed_to_the_camera_and_well_lit():

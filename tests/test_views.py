@@ -27,7 +27,7 @@ def run_views(scene, cameras, sizes, device, *, names=NAMES, settings=FULL, dept
     depth_only = any(s.depth_only for s in sizes)
     outputs = frozenset(names if any(not s.depth_only for s in sizes) else ()) | {"keys"}
     outputs |= {"depth_keys"} if depth_only else set()
-    request = dataclasses.replace(renderer._request(cameras), sizes=tuple(sizes), outputs=outputs)
+    request = dataclasses.replace(renderer._request(cameras)[0], sizes=tuple(sizes), outputs=outputs)
     lights = LightStore(request.features.light_capacity, len(sizes), renderer.device)
     plan = renderer._plan = Plan(request, renderer._device_scene, lambda: lights)
     if fill is not None:
@@ -35,7 +35,9 @@ def run_views(scene, cameras, sizes, device, *, names=NAMES, settings=FULL, dept
             plan.outputs[name].fill_(fill)
     renderer._update()
     block = plan.resources.frame.begin()
-    plan.packer.write(block, cameras, renderer._ranges(cameras), depth_clamp)
+    plan.packer.write(
+        block[plan.resources.frame.views_offset :], cameras, renderer._ranges([c.world for c in cameras]), depth_clamp
+    )
     environment = scene.environment
     VALUES.pack_into(
         block, plan.resources.frame.values_offset, *environment.ambient, len(scene.lights), *environment.background,

@@ -58,6 +58,8 @@ def lay_out(stages: Sequence[Pass], request: Request, loop: range) -> Arena:
             dies[name] = max(dies.get(name, k), len(stages) if buffer.lasting else k)
             if buffer.carried and k in loop:
                 dies[name] = max(dies[name], loop.stop - 1)
+            if buffer.persistent:
+                born[name], dies[name] = 0, len(stages)
         for name in all_reads(stage):
             # Written before the samples and read in one of them: the next sample reads it again.
             again = k in loop and born.get(name, k) < loop.start

@@ -26,6 +26,7 @@ from .textures import WRAP_CODES, TextureStore
 
 if TYPE_CHECKING:
     from .point_store import PointStore
+    from .ray_scene import RayScene
 
 __all__ = ["DeviceScene"]
 
@@ -64,17 +65,25 @@ class DeviceScene:
         cluster_range: id of a mesh -> its first cluster, clusters.
         triangle_count: Triangles over all instances.
         cluster_slots: (instance, cluster) pairs.
+        meshes: Each mesh once.
+        bound: id of each mesh with bound points.
+        mesh_of: Index in `meshes` of each instance, in the order of instances on the device.
+        worlds: World of each instance, in that order.
         placed: (n, 4) int64: slot, first row of Geometry.triangles, triangles and world of each instance.
         bytes: Device memory held.
     """
 
     def __init__(self, scene: Scene, device: wp.Device) -> None:
         self.device = device
-        self._meshes = list({id(i.mesh): i.mesh for i in scene.instances}.values())
-        moving = {id(mesh) for binding in scene.point_bindings for mesh in binding.meshes}
-        prepared = {id(m): _prepare(m, id(m) in moving) for m in self._meshes}
+        self.meshes = list({id(i.mesh): i.mesh for i in scene.instances}.values())
+        self.bound = {id(mesh) for binding in scene.point_bindings for mesh in binding.meshes}
+        prepared = {id(m): _prepare(m, id(m) in self.bound) for m in self.meshes}
         self._check_capacity(scene, prepared)
         self.order = sorted(range(len(scene.instances)), key=lambda k: (scene.instances[k].world, k))
+        numbers = {id(mesh): k for k, mesh in enumerate(self.meshes)}
+        self.mesh_of = [numbers[id(scene.instances[k].mesh)] for k in self.order]
+        self.worlds = [scene.instances[k].world for k in self.order]
+        self._rays: RayScene | None = None
         self._textures = TextureStore(device)
         self._build_materials(scene)
         self.geometry = structs.Geometry()
@@ -83,7 +92,7 @@ class DeviceScene:
         self._build_instances(scene, prepared)
         self.bytes = sum(a.capacity for a in self._arrays.values()) + self._textures.bytes
         self.points: PointStore | None = None
-        if moving:
+        if self.bound:
             # Its kernels are imported for the scenes that need them alone.
             from .point_store import PointStore
 
@@ -152,9 +161,9 @@ class DeviceScene:
             k: [] for k in ("positions", "normals", "uvs", "colors", "triangles", "rows", "clusters")
         }
         any_normals = any(n is not None for _, n in prepared.values())
-        any_uvs = any(m.uvs is not None for m in self._meshes)
-        any_colors = any(m.colors is not None for m in self._meshes)
-        for mesh in self._meshes:
+        any_uvs = any(m.uvs is not None for m in self.meshes)
+        any_colors = any(m.colors is not None for m in self.meshes)
+        for mesh in self.meshes:
             cut, normals = prepared[id(mesh)]
             count = len(mesh.positions)
             self.first_vertex[id(mesh)], self.first_triangle[id(mesh)] = vertex, triangle
@@ -239,6 +248,14 @@ class DeviceScene:
         g.transforms = wp.zeros(max(len(instances), 1), dtype=structs.Transform, device=self.device)
         self._arrays["transforms"] = g.transforms
         self._transform_table = np.zeros(max(len(instances), 1), np.dtype(structs.Transform.numpy_dtype()))
+
+    def rays(self) -> RayScene:
+        """Trees for rays, made when they are first asked for."""
+        if self._rays is None:
+            from .ray_scene import RayScene
+
+            self._rays = RayScene(self)
+        return self._rays
 
     def _ranges(self, starts: dict[int, tuple[int, int]]) -> None:
         """World -> (first instance, instances, first slot, slots); -1 is what every world shares."""

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .sampling import pixel_samples
+from .shadow_slots import beyond_capacity
 
 if TYPE_CHECKING:
     from .passes.base import Pass, Request
@@ -83,6 +84,17 @@ def _points(request: Request) -> Verdict:
     return Verdict(count > 0, reason if count else "no mesh takes its points from an array")
 
 
+def _shadow(request: Request) -> Verdict:
+    count = sum(request.features.casters)
+    if not count:
+        return Verdict(False, "no light casts a shadow")
+    if not request.lit:
+        return Verdict(False, "no lit output asked for")
+    left = beyond_capacity(request.features.casters, request.settings.shadow)
+    reason = f"{count} light{'s cast' if count > 1 else ' casts'} shadows"
+    return Verdict(True, reason + f"; {left} past the capacity, without" * (left > 0))
+
+
 def _bloom(request: Request) -> Verdict:
     if "display" not in request.outputs:
         return Verdict(False, "display was not asked for")
@@ -102,6 +114,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("ambient_visibility", "resolve", _ambient_visibility),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
+    Effect("shadow", "", _shadow),
     Effect("accumulate", "shade", _sampled, "sampling"),
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
     Effect("bloom", "", _bloom, before="display"),

@@ -56,7 +56,7 @@ class Explanation:
     @classmethod
     def of(cls, scene: Scene, plan: Plan, rows: list[PassReport]) -> Explanation:
         """Gather a plan's reports."""
-        sizes = plan.layout.sizes
+        sizes = plan.layout.sizes[: plan.request.cameras]
         views = f"{len(sizes)} views of " if len(sizes) > 1 else ""
         title = f"{scene.name or 'scene'} at {views}{sizes[0].width}x{sizes[0].height} on {plan.resources.device}"
         notes = [

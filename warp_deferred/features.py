@@ -30,6 +30,7 @@ class Features:
         extra: Some material needs metalness, occlusion or a specular colour in the G-buffer.
         ambient: Ambient light is not zero.
         infinite_lights: Lights without a range, which are in every tile.
+        casters: Lights of each kind (point, spot, directional) that declare a shadow.
         bound_meshes: Meshes whose points come from bound arrays.
         bound_vertices: Vertices of these.
         bound_clusters: Most clusters these may have.
@@ -46,6 +47,7 @@ class Features:
     extra: bool
     ambient: bool
     infinite_lights: int
+    casters: tuple[int, int, int] = (0, 0, 0)
     bound_meshes: int = 0
     bound_vertices: int = 0
     bound_clusters: int = 0
@@ -76,6 +78,7 @@ class Features:
             extra=models > 1 or any(m.occlusion_texture is not None for m in materials),
             ambient=max(scene.environment.ambient) > 0.0,
             infinite_lights=scene.lights.infinite_count(),
+            casters=tuple(int(np.count_nonzero(group.casts_shadow)) for _, group in scene.lights.groups()),
             bound_meshes=len(bound),
             bound_vertices=sum(len(m.positions) for m in bound),
             bound_clusters=sum(-(-len(m.triangles) // CLUSTER_SIZE) for m in bound),

@@ -194,7 +194,7 @@ class LightGroup:
         array = self._checked(qualified, name, value, shape, dtype)
         self._bound.pop(name, None)
         self._arrays[name] = array
-        self._on_change(name in ("attenuation", "casts_shadow", "world"))
+        self._on_change(name in ("attenuation", "casts_shadow", "world", "outer_angle"))
 
     def _checked(self, qualified: str, name: str, value: Any, shape: tuple[int, ...], dtype: type) -> np.ndarray:
         if name == "attenuation":

@@ -31,6 +31,7 @@ from .program import END, SAMPLE, START, Program
 from .resources import Resources
 from .sampling import sample_count
 from .selection import PassReport, select, verify
+from .shadow_slots import ShadowTable
 from .views import ViewLayout, ViewPacker
 
 __all__ = ["PASSES", "Plan"]
@@ -88,7 +89,7 @@ class Plan:
         # Nothing is allocated before this line: what cannot be held has been refused.
         with enough_memory("frame", self.bytes, scene.device, "render smaller or fewer views, or fewer outputs"):
             program = Program(scene.device, request.threads, self.replays)
-            self.resources = Resources.make(scene, lights(), self.layout, program)
+            self.resources = Resources.make(scene, lights(), self.layout, program, request.shadow_slots)
             self._allocate()
             for k, stage in enumerate(self.passes):
                 self._build(stage, START if k < loop.start else END if k >= loop.stop > 0 else SAMPLE)
@@ -156,6 +157,12 @@ class Plan:
         # The memory lives for as long as someone holds the image, even when the plan is gone.
         image._ref = array
         return image
+
+    def stage_shadows(self, table: ShadowTable, ranges: list[tuple[int, ...]]) -> None:
+        """Upload which light each shadow map belongs to, and what every map draws."""
+        for stage in self.passes:
+            if stage.name == "shadow":
+                stage.stage(self.resources, self.packer, table, ranges)
 
     def replay(self) -> None:
         """Run the frame; the first call on CUDA captures it."""

@@ -124,6 +124,7 @@ class Program:
         block_dim: int,
         band: int = 0,
         tiled: bool = False,
+        beside: bool = False,
     ) -> None:
         """Add a launch.
 
@@ -135,6 +136,7 @@ class Program:
             block_dim: Threads a block.
             band: Rows a band is a multiple of; 0 runs the launch whole, on one thread.
             tiled: Launch one block of lanes per row; the kernel sees the lane as a second index.
+            beside: Run it side by side with the step before, as in `call`.
         """
         dims = [dim] if isinstance(dim, int) else list(dim)
         self.kernels.append((kernel, block_dim))
@@ -150,7 +152,11 @@ class Program:
             count = min(per, rows - start)
             values = [start if value is FIRST else value for value in inputs]
             step.append(self._command(kernel, [count, *dims[1:]], values, outputs, block_dim, tiled))
-        self.sections[-1].steps.append(step)
+        if beside:
+            for command in step:
+                self.call(command, beside=True)
+        else:
+            self.sections[-1].steps.append(step)
 
     def launch_together(self, launches: list[tuple[Any, int, list[Any], list[Any]]], *, block_dim: int) -> None:
         """Add launches that may run side by side: (kernel, dim, inputs, outputs) each."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import operator
 import os
@@ -15,6 +16,7 @@ from .camera import Camera
 from .channels import OUTPUTS
 from .checks import check_choice, check_count, input_error
 from .device_scene import DeviceScene, as_float_array
+from .effects import called_for
 from .errors import DeviceError
 from .explain import Explanation, MemoryReport
 from .features import Features
@@ -27,6 +29,7 @@ from .plan import PASSES, Plan
 from .scene import Scene
 from .selection import check_passes, with_passes
 from .settings import Settings
+from .shadow_slots import ShadowTable, plan_slots
 from .views import MAX_SIZE, ViewLayout, ViewSize
 
 __all__ = ["Renderer"]
@@ -102,7 +105,7 @@ class Renderer:
         self._seen: tuple[int, ...] = ()
         self._revision = -1
         self._scene_key = 0
-        self._requests: dict[Any, Request] = {}
+        self._requests: dict[Any, tuple[Request, ShadowTable | None]] = {}
         self._generation = 0
         self._plan: Plan | None = None
         self._fast: tuple[Any, ...] | None = None
@@ -147,7 +150,7 @@ class Renderer:
         resources = plan.resources
         self._update()
         block = resources.frame.begin()
-        self._write_views(plan, block, cameras)
+        self._write_views(plan, block[resources.frame.views_offset :], cameras)
         environment = self.scene.environment
         VALUES.pack_into(
             block,
@@ -169,10 +172,10 @@ class Renderer:
         """Pack the cameras, or copy the last bytes where they are the same objects: fixed views cost a copy."""
         known = self._packed
         if known is not None and known[0] is self._fast and all(map(operator.is_, cameras, known[1])):
-            block[: len(known[2])] = known[2]
+            block[:] = known[2]
             return
         plan.packer.write(block, cameras, self._fast[4])
-        self._packed = (self._fast, cameras, bytes(block[: plan.packer.size * len(cameras)]))
+        self._packed = (self._fast, cameras, bytes(block))
 
     def _stage_poses(self, poses: Any, count: int, resources: Any) -> None:
         array = as_float_array("render.poses", poses, self.device, (count, 4, 4))
@@ -215,16 +218,20 @@ class Renderer:
             self._seen = seen
             self._requests.clear()
         key = (chosen, settings)
-        request = self._requests.get(key)
-        if request is None:
-            request = self._requests[key] = self._request(cameras)
+        if key not in self._requests:
+            self._requests[key] = self._request(cameras)
+        request, table = self._requests[key]
         plan = self._plans.get(request)
         if plan is None:
             plan = self._build(request, progress)
         if plan is not self._plan:
             self._plans[request] = self._plans.pop(request)
             self._plan = plan
-        self._fast = (seen, chosen, settings, plan, self._ranges(cameras))
+        slots = table.slots if table else ()
+        ranges = self._ranges([*(c.world for c in cameras), *(slot.world for slot in slots)])
+        if table:
+            plan.stage_shadows(table, ranges[len(cameras) :])
+        self._fast = (seen, chosen, settings, plan, ranges[: len(cameras)])
         return plan
 
     def _load_scene(self) -> None:
@@ -238,29 +245,43 @@ class Renderer:
         self._revision = self.scene.revision
         self._scene_key += 1
 
-    def _request(self, cameras: list[Camera]) -> Request:
-        scene = self._device_scene
-        ranges = [scene.view_range(c.world) for c in cameras]
-        instances = max(r[0] + r[2] for r in ranges)
-        slots = max(r[3] + r[5] for r in ranges)
+    def _request(self, cameras: list[Camera]) -> tuple[Request, ShadowTable | None]:
+        """What the frame asks of a plan, and its shadow maps where it has shadows."""
         request = Request(
             outputs=self.outputs,
             sizes=(ViewSize(self.width, self.height),) * len(cameras),
             settings=self.settings,
             features=self._features,
-            pairs=_capacity(sum(r[0] + r[2] for r in ranges), scene.instance_count),
-            candidates=_capacity(sum(r[3] + r[5] for r in ranges), scene.cluster_slots),
-            instances_per_view=_capacity(instances, scene.instance_count),
-            clusters_per_view=_capacity(slots, scene.cluster_slots),
+            **self._capacities([c.world for c in cameras]),
             scene_key=self._scene_key,
             threads=self._threads,
             share_memory=self._share_memory,
             lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
-        return with_passes(request, self._passes, ViewLayout(request.sizes, 16)) if self._passes else request
+        if self._passes:
+            request = with_passes(request, self._passes, ViewLayout(request.sizes, 16))
+        if not (request.lit and called_for(request, "shadow")):
+            return request, None
+        worlds = [c.world for c in cameras]
+        table = plan_slots(self.scene.lights, worlds, request.settings.shadow)
+        sizes = [ViewSize(slot.size, slot.size, depth_only=True) for slot in table.slots]
+        capacities = self._capacities(worlds + [slot.world for slot in table.slots])
+        sizes = (*request.sizes, *sizes)
+        return dataclasses.replace(request, sizes=sizes, shadow_slots=len(table.slots), **capacities), table
+
+    def _capacities(self, worlds: Sequence[int]) -> dict[str, int]:
+        """How much views of these worlds may see."""
+        scene = self._device_scene
+        ranges = [scene.view_range(w) for w in worlds]
+        return {
+            "pairs": _capacity(sum(r[0] + r[2] for r in ranges), scene.instance_count),
+            "candidates": _capacity(sum(r[3] + r[5] for r in ranges), scene.cluster_slots),
+            "instances_per_view": _capacity(max(r[0] + r[2] for r in ranges), scene.instance_count),
+            "clusters_per_view": _capacity(max(r[3] + r[5] for r in ranges), scene.cluster_slots),
+        }
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
-        key = (request.features.light_capacity, len(request.sizes))
+        key = (request.features.light_capacity, request.cameras)
 
         def lights() -> LightStore:
             if key not in self._lights:
@@ -286,10 +307,10 @@ class Renderer:
         if len(scene.lights):
             self._plan.resources.lights.update(scene.lights)
 
-    def _ranges(self, cameras: list[Camera]) -> list[tuple[int, ...]]:
+    def _ranges(self, worlds: Sequence[int]) -> list[tuple[int, ...]]:
         result, offset = [], 0
-        for camera in cameras:
-            r = self._device_scene.view_range(camera.world)
+        for world in worlds:
+            r = self._device_scene.view_range(world)
             result.append((offset, *r))
             offset += r[0] + r[2]
         return result

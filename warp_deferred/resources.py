@@ -17,12 +17,13 @@ __all__ = ["FrameBlock", "Resources"]
 
 
 class FrameBlock:
-    """Everything the host changes every frame, in one block and one copy: views, then frame values, then a flag.
+    """Everything the host changes every frame, in one block and one copy: frame values, a flag, then cameras' views.
 
-    The pinned copies form a ring, so that the host can write the next frame while the device still reads the last.
+    Behind them on the device lie the views of shadow maps, which kernels write. The pinned copies form a ring, so that
+    the host can write the next frame while the device still reads the last.
 
     Attributes:
-        uploaded: The views as the host or `poses` gave them.
+        uploaded: The views as the host or `poses` gave them, then the shadow maps'.
         values: Frame values.
         bright: One int32 that kernels set once bloom has work; the copy itself sets it back to 0.
         sampling: Whether the pass that is being built runs once a sample; then `views` are those of the sample.
@@ -30,15 +31,20 @@ class FrameBlock:
 
     RING_BYTES = 1 << 19
 
-    def __init__(self, views: int, device: wp.Device) -> None:
+    def __init__(self, views: int, slots: int, device: wp.Device) -> None:
         view_size = np.dtype(structs.View.numpy_dtype()).itemsize
         value_size = np.dtype(structs.FrameValues.numpy_dtype()).itemsize
-        self.values_offset = views * view_size
-        flag_offset = self.values_offset + value_size
-        self.size = flag_offset + 4
+        self.values_offset, flag_offset = 0, value_size
+        # Views hold float64.
+        self.views_offset = -(-(flag_offset + 4) // 8) * 8
+        self.size = self.views_offset + views * view_size
         self.device = device
-        self._block = wp.zeros(self.size, dtype=wp.uint8, device=device)
-        self.uploaded = wp.array(ptr=self._block.ptr, dtype=structs.View, shape=(views,), device=device, copy=False)
+        self._block = wp.zeros(self.size + slots * view_size, dtype=wp.uint8, device=device)
+        self.uploaded = wp.array(
+            ptr=self._block.ptr + self.views_offset, dtype=structs.View, shape=(views + slots,), device=device,
+            copy=False,
+        )  # fmt: skip
+        self._first_slot = views
         self.values = wp.array(
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
@@ -76,9 +82,16 @@ class FrameBlock:
             wp.synchronize_event(event)
         return self._memory[self._next]
 
+    def write_slots(self, rows: np.ndarray) -> None:
+        """Send what does not change from frame to frame about the views of shadow maps."""
+        given = wp.array(rows, dtype=structs.View, device="cpu", copy=False)
+        for views in (self.uploaded, self._moved):
+            if views is not None:
+                wp.copy(views, given, dest_offset=self._first_slot)
+
     def upload(self) -> None:
         """Send the block written since `begin`."""
-        wp.copy(self._block, self._slots[self._next])
+        wp.copy(self._block, self._slots[self._next], count=self.size)
         if self.device.is_cuda:
             event = self._events[self._next] or wp.Event(self.device)
             wp.get_stream(self.device).record_event(event)
@@ -117,11 +130,14 @@ class Resources:
     program: Program
 
     @classmethod
-    def make(cls, scene: DeviceScene, lights: LightStore, layout: ViewLayout, program: Program) -> Resources:
-        """Upload the layout's tables."""
+    def make(
+        cls, scene: DeviceScene, lights: LightStore, layout: ViewLayout, program: Program, slots: int = 0
+    ) -> Resources:
+        """Upload the layout's tables; the last `slots` views are shadow maps."""
         device = scene.device
         tables = [table_array(t, device) for t in (layout.blocks, layout.tiles, layout.coarse_tiles, layout.bin_tiles)]
-        return cls(device, scene, lights, FrameBlock(len(layout.sizes), device), layout, *tables, {}, program)
+        frame = FrameBlock(len(layout.sizes) - slots, slots, device)
+        return cls(device, scene, lights, frame, layout, *tables, {}, program)
 
     def channel(self, name: str, dtype: type) -> wp.array:
         """The array of a channel, or a one-element array where the plan has none (never touched by the kernel)."""

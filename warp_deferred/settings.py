@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings, BloomSettings
+from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings, BloomSettings, ShadowSettings
 from .records import Record
 
 __all__ = [
@@ -73,6 +73,8 @@ class Settings(Record):
     """G-buffer codecs."""
     light_culling: LightCullingSettings = LightCullingSettings()
     """Tiles and light masks."""
+    shadow: ShadowSettings = ShadowSettings()
+    """Shadows."""
     shade: ShadeSettings = ShadeSettings()
     """Lighting."""
     ambient_visibility: AmbientVisibilitySettings = AmbientVisibilitySettings()

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import struct
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
 
-from .camera import Camera
+from .camera import IDENTITY, Camera
 from .checks import check_count
 from .errors import CapacityError
 from .kernels import structs
@@ -51,6 +52,7 @@ class ViewLayout:
         tiles: (t, 4) int32: view, x, y and coarse tile of each light tile.
         coarse_tiles: (c, 4) int32: view, x, y, 0 of each coarse light tile.
         bin_tiles: (n, 4) int32: view, x, y, 0 of each raster bin.
+        shown_bins: Bins up to the last one of a view that keeps ids: those of shadow maps come after them.
     """
 
     def __init__(self, sizes: tuple[ViewSize, ...], tile_size: int) -> None:
@@ -67,6 +69,7 @@ class ViewLayout:
             )
         self.pixels, self.depth_pixels = pixels, depth_pixels
         self.fields: list[tuple[int, ...]] = []
+        self.shown_bins = 0
         offsets = {False: 0, True: 0}
         tables: dict[str, list[np.ndarray]] = {"blocks": [], "tiles": [], "coarse": [], "bins": []}
         counts = {"tiles": 0, "coarse": 0, "bins": 0}
@@ -96,6 +99,8 @@ class ViewLayout:
             offsets[s.depth_only] += s.width * s.height
             for name in counts:
                 counts[name] = sum(len(t) for t in tables[name])
+            if light:
+                self.shown_bins = counts["bins"]
         joined = {k: np.concatenate(t) if t else np.zeros((0, 4), np.int32) for k, t in tables.items()}
         self.blocks, self.tiles = joined["blocks"], joined["tiles"]
         self.coarse_tiles, self.bin_tiles = joined["coarse"], joined["bins"]
@@ -159,8 +164,31 @@ class ViewPacker:
             self._pack(
                 buffer, v * self.size, *camera.position, offset, *camera.rotation, fx, -fy, cx, cy, camera.near,
                 camera.far, 2.0**camera.exposure, PROJECTIONS[camera.projection], self._cull, int(depth_clamp),
-                int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], camera.bloom,
+                int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], 0,
+                camera.bloom,
             )  # fmt: skip
+
+    def slot_rows(self, first: int, worlds: Sequence[int], ranges: Sequence[tuple[int, ...]], cull: str) -> np.ndarray:
+        """Views of shadow maps, all but where they stand: the device writes that before every frame.
+
+        Args:
+            first: View of the first map.
+            worlds: World of each map.
+            ranges: For each map what `write` takes for a view.
+            cull: Faces that are dropped.
+
+        Returns:
+            The structs.
+        """
+        rows = bytearray(self.size * len(worlds))
+        for k, (world, own) in enumerate(zip(worlds, ranges, strict=True)):
+            size = self.layout.sizes[first + k]
+            offset, pitch, *tables = self.layout.fields[first + k]
+            self._pack(
+                rows, k * self.size, 0.0, 0.0, 0.0, offset, *IDENTITY, 1.0, -1.0, 0.5 * size.width, 0.5 * size.height,
+                1.0, 1.0, 1.0, 0, CULL_MODES[cull], 1, 1, world, pitch, size.width, size.height, *tables, *own, 1, 0.0,
+            )  # fmt: skip
+        return np.frombuffer(rows, np.dtype(structs.View.numpy_dtype()))
 
 
 def table_array(table: np.ndarray, device: wp.Device) -> wp.array:

@@ -40,7 +40,7 @@ class AmbientVisibilityPass(Pass):
         pixels = max(self.layout.pixels, 1)
         result = {"ambient_visibility": Buffer(wp.float32, pixels)}
         if self.rung() != "ray_traced":
-            bins = max(len(self.layout.bin_tiles), 1)
+            bins = max(self.layout.shown_bins, 1)
             words = bins * 64 if self.half else pixels
             result |= {
                 "visibility_pyramid": Buffer(wp.float32, bins * depth_pyramid.BIN_WORDS),
@@ -83,7 +83,7 @@ class AmbientVisibilityPass(Pass):
         program, views, channels = resources.program, resources.frame.views, resources.channels
         pyramid, words, rows = (channels[f"visibility_{n}"] for n in ("pyramid", "words", "rows"))
         final, power = channels["ambient_visibility"], self.request.settings.ambient_visibility.power
-        over_bins = len(self.layout.bin_tiles) * 64
+        over_bins = self.layout.shown_bins * 64
         over_blocks = len(self.layout.blocks) * 64
         tiles, threads = (resources.bin_tiles, over_bins) if self.half else (resources.blocks, over_blocks)
         program.launch(

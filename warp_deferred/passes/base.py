@@ -68,6 +68,7 @@ class Request:
         lens: What the cameras' lenses call for.
         passes: The user's own passes, in order; compared as they compare themselves, by identity unless they say how.
         hidden: Outputs that only those passes read: made, and not shown in frames.
+        shadow_slots: Shadow maps: the last views, of depth only.
     """
 
     outputs: frozenset[str]
@@ -84,6 +85,12 @@ class Request:
     lens: Lens = Lens()
     passes: tuple[Pass, ...] = ()
     hidden: frozenset[str] = frozenset()
+    shadow_slots: int = 0
+
+    @property
+    def cameras(self) -> int:
+        """Views that the caller asked for."""
+        return len(self.sizes) - self.shadow_slots
 
     @property
     def lit(self) -> bool:
@@ -98,6 +105,8 @@ class Buffer:
     dtype: Any
     count: int
     lasting: bool = False
+    #: It keeps its memory, and so what it holds, from frame to frame.
+    persistent: bool = False
     #: Its memory must be free one pass earlier already: its pass clears it beside the pass before.
     early: bool = False
     #: Element type users see, where kernels see another one of the same size.

@@ -253,8 +253,7 @@ class BloomPass(Pass):
         """Radiance in; each level down and up once, or each Gaussian's rows and columns."""
         pixels, image = self.layout.pixels, image_bytes(self.request)
         if self.rung() == "exact":
-            most = max(
-                (level_count(s.height, self.request.settings.bloom.radius) for s in self.layout.sizes), default=0
-            )
+            radius, shown = self.request.settings.bloom.radius, [s for s in self.layout.sizes if not s.depth_only]
+            most = max((level_count(s.height, radius) for s in shown), default=0)
             return pixels * (image + 12 + most * 60)
         return pixels * image + 8 * self.pyramid.texels * (3 if self.rung() == "neighbourhood" else 4)

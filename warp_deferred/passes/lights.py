@@ -42,7 +42,7 @@ class LightsPass(Pass):
         lights, frame = resources.lights, resources.frame
         resources.program.launch(
             kernels.stage_lights_kernel,
-            (len(self.layout.sizes), lights.capacity),
+            (self.request.cameras, lights.capacity),
             [frame.views, frame.values, lights.source, FIRST],
             [lights.staged],
             block_dim=kernels.BLOCK_DIM,
@@ -51,4 +51,4 @@ class LightsPass(Pass):
     def bytes_moved(self) -> int:
         """Source in, staged out."""
         capacity = self.request.features.light_capacity
-        return capacity * (100 + 64) + capacity * len(self.layout.sizes) * 16
+        return capacity * (100 + 64) + capacity * self.request.cameras * 16

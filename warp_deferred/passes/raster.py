@@ -12,6 +12,7 @@ from ..kernels import merge as merge_kernels
 from ..kernels import raster as kernels
 from ..program import FIRST
 from ..resources import Resources
+from ..shadow_maps import clear_maps, keeps_maps
 from .base import Buffer, Pass
 
 __all__ = ["RasterPass", "large_stored"]
@@ -65,7 +66,9 @@ class RasterPass(Pass):
         layout, raster = self.layout, self.request.settings.raster
         result = {"keys": Buffer(wp.uint64, max(layout.pixels, 1), early=True)}
         if layout.has_depth_views:
-            result["depth_keys"] = Buffer(wp.uint32, layout.depth_pixels, early=True)
+            # Maps that nothing moved in are kept from frame to frame.
+            kept = keeps_maps(self.request)
+            result["depth_keys"] = Buffer(wp.uint32, layout.depth_pixels, early=True, persistent=kept)
         if self.slices > 1:
             result["slice_keys"] = Buffer(wp.uint64, layout.pixels * (self.slices - 1), early=True)
             if layout.has_depth_views:
@@ -120,7 +123,9 @@ class RasterPass(Pass):
         """Clear, draw, bin, merge."""
         program = resources.program
         for name in ("keys", "depth_keys", "slice_keys", "slice_depth_keys", "bin_state"):
-            if name in resources.channels:
+            if name == "depth_keys" and keeps_maps(self.request):
+                clear_maps(resources, self.request)
+            elif name in resources.channels:
                 program.call(resources.channels[name].zero_, beside=True)
         if not self.request.candidates:
             return

@@ -60,7 +60,7 @@ class BeginSamplePass(Pass):
         channels, frame = resources.channels, resources.frame
         inputs = [frame.uploaded, channels["sample_table"], channels["sample_counter"]]
         resources.program.launch(
-            kernels.begin_sample_kernel, len(self.layout.sizes), inputs, [frame.views], block_dim=kernels.BLOCK_DIM
+            kernels.begin_sample_kernel, self.request.cameras, inputs, [frame.views], block_dim=kernels.BLOCK_DIM
         )
 
 

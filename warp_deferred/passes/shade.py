@@ -11,6 +11,7 @@ from ..kernels import shade as kernels
 from ..kernels.light_culling import make_light_culling_kernels
 from ..program import FIRST
 from ..resources import Resources
+from ..shadow_maps import make_shadows, shadow_arguments, shadow_channels
 from .base import LIT_OUTPUTS, Buffer, Pass
 from .image import all_writes, float_image, make_image
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
@@ -60,6 +61,7 @@ class ShadePass(Pass):
             names.append("ambient_visibility")
         if self.culls:
             names += ["mask_coarse", "mask_bounds", "mask_coarse_bounds"]
+        names += shadow_channels(self.request)
         return tuple(names)
 
     def writes(self) -> dict[str, Buffer]:
@@ -90,7 +92,9 @@ class ShadePass(Pass):
             features.emissive,
             outputs,
             "ambient_visibility" in self.reads(),
+            shadow_arguments(self.request),
         )
+        self.shadows = make_shadows(resources, self.request)
         self.gbuffer = make_gbuffer(resources)
         if self.culls:
             depth_bounds = self.request.settings.light_culling.rung == "tiles_depth"
@@ -116,7 +120,18 @@ class ShadePass(Pass):
             resources.program.launch(
                 self.kernel,
                 (band.blocks.stop - band.blocks.start) * 64,
-                [frame.views, frame.values, blocks, self.gbuffer, emission, visibility, lights, masks, FIRST],
+                [
+                    frame.views,
+                    frame.values,
+                    blocks,
+                    self.gbuffer,
+                    emission,
+                    visibility,
+                    lights,
+                    masks,
+                    self.shadows,
+                    FIRST,
+                ],
                 [self.out],
                 block_dim=kernels.BLOCK_DIM,
                 band=64,
