@@ -60,7 +60,7 @@ class ShadeSettings(Record):
 class DisplaySettings(Record):
     """From radiance to the picture."""
 
-    tone_mapping: Literal["off", "reinhard", "aces", "pbr_neutral"] = "pbr_neutral"
+    tone_mapping: Literal["off", "reinhard", "aces", "pbr_neutral", "agx"] = "pbr_neutral"
     """Curve from scene to display radiance."""
 
 
