@@ -6,8 +6,8 @@ x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14). pbr_neutral: Khronos PBR Neutral
 which keeps base colours up to 0.8 and compresses highlights towards white. agx: Troy Sobotka's AgX in the form of
 Benjamin Wrensch ("Minimal AgX Implementation", iolite-engine.com, 2023): a matrix that moves the primaries inwards,
 stops from -12.47 to 4.03 on [0, 1], a polynomial of degree 6 in place of the sigmoid, a matrix back, a power of 2.2.
-We scale the rows of both matrices to a sum of 1, which they miss by up to 2e-4, so that grey stays grey. The degree is 6
-because that polynomial rises everywhere on [0, 1]; the published one of degree 7 falls at the dark end. Grey below
+We scale the rows of both matrices to a sum of 1, which they miss by up to 2e-4, so that grey stays grey. The degree is
+6 because that polynomial rises everywhere on [0, 1]; the published one of degree 7 falls at the dark end. Grey below
 0.000217 is black, and white is 0.9969. off: clamp to [0, 1].
 The encoding to 8 bits decides by the exact decoded thresholds between codes and only guesses by a power, so it
 gives the same byte on every device (IEC 61966-2-1; Direct3D functional specification 3.2.3.8).

@@ -93,7 +93,14 @@ def _smoothed(request: Request) -> Verdict:
     rung = request.settings.anti_aliasing.rung
     if rung == "fxaa" and "display" not in request.outputs:
         return Verdict(False, "no output asked for is a picture")
+    if request.settings.display.view != "picture":
+        return Verdict(False, f"display.view is {request.settings.display.view}")
     return Verdict(rung == "fxaa", f"anti_aliasing.rung={rung}")
+
+
+def _debug_view(request: Request) -> Verdict:
+    view = request.settings.display.view
+    return Verdict("display" in request.outputs and view != "picture", f"display.view is {view}")
 
 
 #: Every optional effect, in frame order.
@@ -106,6 +113,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
     Effect("bloom", "", _bloom, before="display"),
     Effect("anti_aliasing", "display", _smoothed),
+    Effect("debug_view", "display", _debug_view, quiet=True),
 )
 
 

@@ -27,7 +27,7 @@ from .plan import PASSES, Plan
 from .scene import Scene
 from .selection import check_passes, with_passes
 from .settings import Settings
-from .views import MAX_SIZE, ViewLayout, ViewSize
+from .views import MAX_SIZE, ViewSize
 
 __all__ = ["Renderer"]
 
@@ -257,7 +257,7 @@ class Renderer:
             share_memory=self._share_memory,
             lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
-        return with_passes(request, self._passes, ViewLayout(request.sizes, 16)) if self._passes else request
+        return with_passes(request, self._passes)
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
         key = (request.features.light_capacity, len(request.sizes))

@@ -62,6 +62,13 @@ class DisplaySettings(Record):
 
     tone_mapping: Literal["off", "reinhard", "aces", "pbr_neutral", "agx"] = "pbr_neutral"
     """Curve from scene to display radiance."""
+    view: Literal[
+        "picture", "normal", "depth", "position", "albedo", "diffuse", "specular", "alpha", "ambient_visibility",
+        "instance_id", "semantic_id", "material_id", "triangle_id", "light_count", "tiles", "clusters", "wireframe",
+        "shadow_atlas", "invalid",
+    ] = "picture"  # fmt: skip
+    """What the output `display` shows: the picture, or a buffer of the frame by the colours of `debug_views.py`. What a
+    buffer does not need is then not run."""
 
 
 class Settings(Record):
