@@ -12,7 +12,12 @@ from pydantic import Field
 
 from .records import Record
 
-__all__ = ["AmbientVisibilitySettings", "AntiAliasingSettings", "BloomSettings"]
+__all__ = [
+    "AmbientVisibilitySettings",
+    "AntiAliasingSettings",
+    "BloomSettings",
+    "BlurSettings",
+]
 
 
 class AmbientVisibilitySettings(Record):
@@ -108,3 +113,19 @@ class BloomSettings(Record):
     not flicker [1 is white]; what it counts less is lost. 0: plain averages. Not in exact. A division a pixel."""
     window: int = Field(3, ge=1, le=8)
     """neighbourhood: half the width of the window [2 px]; (2 window + 1) squared reads for every four pixels."""
+
+
+class BlurSettings(Record):
+    """A Gaussian over the whole image, before exposure and tone mapping; `color` is the blurred image, too.
+
+    Radiance is clamped to [0, 65504] before, and beyond its edge an image continues as it ends. A uniform image stays
+    as it is to the bit.
+    """
+
+    rung: Literal["off", "gaussian"] = "off"
+    """gaussian: two launches of 6 sigma_px + 1 taps each."""
+    sigma_px: float = Field(2.0, ge=0.0, le=64.0)
+    """Standard deviation [px of the rendered image, before up-scaling], 0 to 64; 0 changes nothing. Weights end at
+    three of it. Time grows with it."""
+    when: Literal["called_for", "always"] = "called_for"
+    """always: be in the plan although `sigma_px` is 0; the image is then copied to the bit."""

@@ -98,6 +98,11 @@ def _smoothed(request: Request) -> Verdict:
     return Verdict(rung == "fxaa", f"anti_aliasing.rung={rung}")
 
 
+def _blur(request: Request) -> Verdict:
+    sigma = request.settings.blur.sigma_px
+    return Verdict(sigma > 0.0, f"blur.sigma_px is {sigma:g}")
+
+
 def _debug_view(request: Request) -> Verdict:
     view = request.settings.display.view
     return Verdict("display" in request.outputs and view != "picture", f"display.view is {view}")
@@ -113,6 +118,7 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
     Effect("bloom", "", _bloom, before="display"),
     Effect("anti_aliasing", "display", _smoothed),
+    Effect("blur", "average", _blur),
     Effect("debug_view", "display", _debug_view, quiet=True),
 )
 

@@ -105,13 +105,21 @@ def _entry(stage: Pass) -> _Entry:
 
 
 def _insert(entries: list[_Entry], entry: _Entry) -> None:
-    """Put an entry behind the pass it names, and behind what was put there before."""
+    """Put an entry behind the pass it names, and behind what was put there before and does not run in a later part.
+
+    So passes come in the same order whether a frame takes one sample a pixel or several.
+    """
     place = next((k + 1 for k, e in enumerate(entries) if e.name == entry.after), len(entries) if entry.after else 0)
     passed = {entry.after}
-    while place < len(entries) and entries[place].after in passed:
+    while place < len(entries) and entries[place].after in passed and not _later(entries[place], entry):
         passed.add(entries[place].name)
         place += 1
     entries.insert(place, entry)
+
+
+def _later(one: _Entry, other: _Entry) -> bool:
+    """Whether the first runs in a later part of the frame than the second."""
+    return one.stage is not None and other.stage is not None and ORDER[one.stage.scope] > ORDER[other.stage.scope]
 
 
 def check_passes(passes: Any, core: Sequence[type[Pass]]) -> tuple[Pass, ...]:

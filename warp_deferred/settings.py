@@ -6,7 +6,12 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings, BloomSettings
+from .effect_settings import (
+    AmbientVisibilitySettings,
+    AntiAliasingSettings,
+    BloomSettings,
+    BlurSettings,
+)
 from .records import Record
 
 __all__ = [
@@ -90,6 +95,8 @@ class Settings(Record):
     """Tone mapping."""
     anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()
     """Samples a pixel."""
+    blur: BlurSettings = BlurSettings()
+    """A Gaussian over the image."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.
