@@ -17,6 +17,7 @@ __all__ = [
     "AntiAliasingSettings",
     "BloomSettings",
     "BlurSettings",
+    "ScaleSettings",
 ]
 
 
@@ -129,3 +130,24 @@ class BlurSettings(Record):
     three of it. Time grows with it."""
     when: Literal["called_for", "always"] = "called_for"
     """always: be in the plan although `sigma_px` is 0; the image is then copied to the bit."""
+
+
+class ScaleSettings(Record):
+    """Render fewer pixels than are shown, and scale `display` up.
+
+    Sides are rounded up to whole pixels, and the field of view stays. `display` keeps the renderer's size; every other
+    output has a value for each rendered pixel, which is another number of pixels, and is refused. Settings in pixels
+    (`blur.sigma_px`, light tiles) mean rendered ones. A uniform picture stays as it is to the bit, and no pixel leaves
+    the range of the four rendered ones around it. Bound against `off`, filter `edge`, for pictures of 240 x 160 and
+    more: RMSE of at most 12 codes at two_thirds and 18 at half with `anti_aliasing.rung=samples_16`. Without
+    anti-aliasing the two pictures are jagged in different places, and nothing is promised.
+    """
+
+    rung: Literal["off", "half", "two_thirds"] = "off"
+    """Rendered share of each side: half is a quarter of the pixels, two_thirds four ninths of them, off all."""
+    filter: Literal["edge", "nearest"] = "edge"
+    """edge: 16 pixels weighed along the edges they show; nearest: the pixel below, as debug views always do."""
+
+    def rendered(self, length: int) -> int:
+        """Rendered pixels of a side of that many shown ones."""
+        return {"off": length, "half": -(-length // 2), "two_thirds": -(-2 * length // 3)}[self.rung]

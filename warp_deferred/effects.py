@@ -103,6 +103,11 @@ def _blur(request: Request) -> Verdict:
     return Verdict(sigma > 0.0, f"blur.sigma_px is {sigma:g}")
 
 
+def _scale(request: Request) -> Verdict:
+    rung = request.settings.scale.rung
+    return Verdict("display" in request.outputs and rung != "off", f"scale.rung is {rung}")
+
+
 def _debug_view(request: Request) -> Verdict:
     view = request.settings.display.view
     return Verdict("display" in request.outputs and view != "picture", f"display.view is {view}")
@@ -120,6 +125,8 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("anti_aliasing", "display", _smoothed),
     Effect("blur", "average", _blur),
     Effect("debug_view", "display", _debug_view, quiet=True),
+    # What works on the picture itself belongs above: this one changes its size.
+    Effect("scale", "display", _scale),
 )
 
 

@@ -239,13 +239,22 @@ class Renderer:
         self._scene_key += 1
 
     def _request(self, cameras: list[Camera]) -> Request:
-        scene = self._device_scene
+        scene, scale = self._device_scene, self.settings.scale
+        if scale.rung != "off" and self.outputs != {"display"}:
+            raise input_error(
+                "Renderer.outputs",
+                f"display alone while scale.rung is {scale.rung}",
+                sorted(self.outputs),
+                "set scale.rung=off: other outputs have a value for each rendered pixel, and there are fewer of them",
+            )
+        shown = (0, 0) if scale.rung == "off" else (self.width, self.height)
+        size = ViewSize(scale.rendered(self.width), scale.rendered(self.height), False, *shown)
         ranges = [scene.view_range(c.world) for c in cameras]
         instances = max(r[0] + r[2] for r in ranges)
         slots = max(r[3] + r[5] for r in ranges)
         request = Request(
             outputs=self.outputs,
-            sizes=(ViewSize(self.width, self.height),) * len(cameras),
+            sizes=(size,) * len(cameras),
             settings=self.settings,
             features=self._features,
             pairs=_capacity(sum(r[0] + r[2] for r in ranges), scene.instance_count),

@@ -11,6 +11,7 @@ from .effect_settings import (
     AntiAliasingSettings,
     BloomSettings,
     BlurSettings,
+    ScaleSettings,
 )
 from .records import Record
 
@@ -97,6 +98,8 @@ class Settings(Record):
     """Samples a pixel."""
     blur: BlurSettings = BlurSettings()
     """A Gaussian over the image."""
+    scale: ScaleSettings = ScaleSettings()
+    """Rendered size."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.

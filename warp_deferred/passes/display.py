@@ -20,8 +20,8 @@ ALIASED = "display_aliased"
 
 
 def shown_channel(request: Request) -> str:
-    """Channel of the whole picture, or of the view in its place."""
-    return "display"
+    """Channel that the picture, or the view in its place, is written to: `display`, or what is scaled up to it."""
+    return "display" if request.settings.scale.rung == "off" else "display_rendered"
 
 
 class DisplayPass(Pass):
