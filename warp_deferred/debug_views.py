@@ -45,7 +45,7 @@ _TABLE = (
         ("ambient_visibility",),
         "black where no ambient light arrives, white where all does",
         lit=True,
-        mend="no pass of this frame finds ambient visibility: it needs ambient light and a rung other than off",
+        mend="no pass finds it while ambient_visibility.rung is off",
     ),
     DebugView("instance_id", "id", ("instance_id",), _HASH.format("instance")),
     DebugView("semantic_id", "id", ("semantic_id",), _HASH.format("label")),

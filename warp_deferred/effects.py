@@ -86,6 +86,8 @@ def _points(request: Request) -> Verdict:
 def _bloom(request: Request) -> Verdict:
     if "display" not in request.outputs:
         return Verdict(False, "display was not asked for")
+    if request.settings.display.view != "picture":
+        return Verdict(False, f"display.view is {request.settings.display.view}")
     return Verdict(request.lens.bloom, f"{'a' if request.lens.bloom else 'no'} camera's lens has bloom")
 
 
@@ -103,14 +105,14 @@ def _blur(request: Request) -> Verdict:
     return Verdict(sigma > 0.0, f"blur.sigma_px is {sigma:g}")
 
 
-def _scale(request: Request) -> Verdict:
-    rung = request.settings.scale.rung
-    return Verdict("display" in request.outputs and rung != "off", f"scale.rung is {rung}")
-
-
 def _debug_view(request: Request) -> Verdict:
     view = request.settings.display.view
     return Verdict("display" in request.outputs and view != "picture", f"display.view is {view}")
+
+
+def _scale(request: Request) -> Verdict:
+    rung = request.settings.scale.rung
+    return Verdict("display" in request.outputs and rung != "off", f"scale.rung is {rung}")
 
 
 #: Every optional effect, in frame order.

@@ -19,7 +19,7 @@ import warp_deferred as wd
 from warp_deferred.debug_views import DEBUG_VIEWS
 from warp_deferred.settings import DisplaySettings
 
-MADE = [name for name in DEBUG_VIEWS if name not in ("ambient_visibility", "shadow_atlas")]
+MADE = [name for name in DEBUG_VIEWS if name != "shadow_atlas"]
 SIZE = {"width": 72, "height": 50}
 
 
@@ -66,13 +66,14 @@ def test_settings_and_table_list_the_same_views():
 
 
 def test_vectors_and_shares_are_shown_by_their_numbers(device):
-    data = buffers(device, "normal", "position", "albedo", "alpha", "diffuse")
+    data = buffers(device, "normal", "position", "albedo", "alpha", "diffuse", "ambient_visibility")
     seen = (data["alpha"] > 0)[..., None]
     expected = {
         "normal": np.where(seen, data["normal"] * 127.5 + 127.5, 0.0),
         "position": np.where(seen, np.abs(2 * np.mod(data["position"].astype(float) / 2, 1.0) - 1) * 255, 0.0),
         "albedo": reference.srgb_encode(data["albedo"]) * 255.0,
         "alpha": np.repeat(data["alpha"][..., None], 3, axis=2) * 255.0,
+        "ambient_visibility": np.repeat(data["ambient_visibility"][..., None], 3, axis=2) * 255.0,
         "diffuse": reference.srgb_encode(reference.tone_pbr_neutral(data["diffuse"])) * 255.0,
     }
     for view, codes in expected.items():
@@ -213,8 +214,9 @@ def test_what_a_view_does_not_need_is_not_run(view, device):
     assert frame.outputs == ("display", "depth")
     names = [stage.name for stage in renderer.plan.passes]
     assert names[-1] == "debug_view" and "display" not in names
-    assert ("shade" in names) == (view in ("diffuse", "specular", "light_count", "invalid"))
-    assert ("light_culling" in names) == DEBUG_VIEWS[view].lit
+    shaded = view in ("diffuse", "specular", "light_count", "invalid")
+    assert ("shade" in names) == shaded and ("light_culling" in names) == (shaded or view == "tiles")
+    assert ("ambient_visibility" in names) == (view in ("ambient_visibility", "invalid"))
     first = images(frame)
     assert np.array_equal(first["depth"], buffers(device, "depth")["depth"])
     with Spy() as spy:
@@ -246,9 +248,18 @@ def test_views_stand_where_samples_are_averaged(view, device):
         assert np.array_equal(many.numpy("display")[0][..., :3], once)
 
 
+@pytest.mark.parametrize("view", ["normal", "invalid"])
+def test_a_view_is_without_bloom(view, device):
+    scene = gallery()
+    plain = shown(view, device, scene=scene)
+    scene.camera = scene.camera.replace(bloom=0.5)
+    assert np.array_equal(shown(view, device, scene=scene), plain)
+
+
 def test_what_is_missing_is_named(device):
-    with pytest.raises(wd.Error, match=r"'ambient_visibility'.*got none; display.view=ambient_visibility: no pass"):
-        shown("ambient_visibility", device)
+    with pytest.raises(wd.Error, match=r"view=ambient_visibility: no pass finds it while .*rung is off"):
+        off = settings("ambient_visibility", "ambient_visibility.rung=off")
+        wd.Renderer(gallery(), device=device, settings=off, **SIZE).render()
     with pytest.raises(wd.Error, match=r"'depth_keys'.*shadow_atlas: no pass .* needs a light that casts shadows"):
         shown("shadow_atlas", device)
     with pytest.raises(wd.Error, match=r"'mask_words'.*display.view=tiles: light masks are made for scenes with"):
