@@ -72,7 +72,8 @@ def _ambient_visibility(request: Request) -> Verdict:
     if "ambient_visibility" in request.outputs:
         return Verdict(True, "ambient_visibility asked for")
     # Ambient light is part of the image, not of the outputs `diffuse` and `specular`.
-    if not any(name in request.outputs for name in ("color", "display")) and not any(p.image for p in request.passes):
+    shown = "display" in request.outputs and request.settings.display.view in ("picture", "invalid")
+    if not shown and "color" not in request.outputs and not any(p.image for p in request.passes):
         return Verdict(False, "no output asked for shows ambient light")
     return Verdict(request.features.ambient, f"ambient light is {'not ' * request.features.ambient}zero")
 
