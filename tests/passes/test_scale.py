@@ -185,3 +185,12 @@ def test_devices_scale_the_same_picture_alike(rung, cuda_device):
     shown = [r.render().numpy("display")[0] for r in (one, two)]
     same = np.array_equal(rendered(one), rendered(two))
     assert np.abs(shown[0].astype(int) - shown[1]).max() <= (0 if same else 8)
+
+
+def test_the_picture_is_smoothed_before_it_is_scaled(device):
+    renderer = renderer_of(device, "scale.rung=half", "anti_aliasing.rung=fxaa", width=92, height=62)
+    shown = renderer.render().numpy("display")[0][..., :3].astype(int)
+    assert [stage.name for stage in renderer.plan.passes][-3:] == ["display", "anti_aliasing", "scale"]
+    small = picture(device, "anti_aliasing.rung=fxaa", width=46, height=31)
+    assert np.array_equal(rendered(renderer), small) and np.abs(shown - twin(small, 92, 62)).max() < 0.51
+    assert not np.array_equal(shown, picture(device, "scale.rung=half", width=92, height=62))
