@@ -3,7 +3,12 @@
 Every curve takes radiance clamped to [0, 65504], so that no finite input can leave [0, 1] or turn into NaN.
 reinhard: x / (1 + x) per channel (Reinhard et al. 2002). aces: Narkowicz 2015, "ACES Filmic Tone Mapping Curve",
 x (2.51 x + 0.03) / (x (2.43 x + 0.59) + 0.14). pbr_neutral: Khronos PBR Neutral 1.0 (KhronosGroup/ToneMapping),
-which keeps base colours up to 0.8 and compresses highlights towards white. off: clamp to [0, 1].
+which keeps base colours up to 0.8 and compresses highlights towards white. agx: Troy Sobotka's AgX in the form of
+Benjamin Wrensch ("Minimal AgX Implementation", iolite-engine.com, 2023): a matrix that moves the primaries inwards,
+stops from -12.47 to 4.03 on [0, 1], a polynomial of degree 6 in place of the sigmoid, a matrix back, a power of 2.2.
+We scale the rows of both matrices to a sum of 1, which they miss by up to 2e-4, so that grey stays grey. The degree is
+6 because that polynomial rises everywhere on [0, 1]; the published one of degree 7 falls at the dark end. Grey below
+0.000217 is black, and white is 0.9969. off: clamp to [0, 1].
 The encoding to 8 bits decides by the exact decoded thresholds between codes and only guesses by a power, so it
 gives the same byte on every device (IEC 61966-2-1; Direct3D functional specification 3.2.3.8).
 """
@@ -19,7 +24,26 @@ from .intrinsics import srgb_guess
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-CURVES = ("off", "reinhard", "aces", "pbr_neutral")
+CURVES = ("off", "reinhard", "aces", "pbr_neutral", "agx")
+#: AgX: stops that become 0 and 1.
+AGX_LOW, AGX_HIGH = -12.47393, 4.026069
+
+
+def _rows_of_sum_one(*rows: tuple[float, float, float]) -> wp.mat33:
+    """A matrix that keeps grey."""
+    return wp.mat33(*[value / sum(row) for row in rows for value in row])
+
+
+AGX_INSET = _rows_of_sum_one(
+    (0.842479062253094, 0.0784335999999992, 0.0792237451477643),
+    (0.0423282422610123, 0.878468636469772, 0.0791661274605434),
+    (0.0423756549057051, 0.0784336, 0.879142973793104),
+)
+AGX_OUTSET = _rows_of_sum_one(
+    (1.19687900512017, -0.0980208811401368, -0.0990297440797205),
+    (-0.0528968517574562, 1.15190312990417, -0.0989611768448433),
+    (-0.0529716355144438, -0.0980434501171241, 1.15107367264116),
+)
 #: Distance from a code's border within which the guess is checked by the exact thresholds [codes].
 DOUBT = 0.03
 
@@ -91,10 +115,28 @@ def curve_pbr_neutral(v: wp.vec3):
     return wp.max(wp.min(mixed, wp.vec3(1.0, 1.0, 1.0)), wp.vec3())
 
 
+@wp.func
+def agx_channel(x: wp.float32):
+    """Wrensch's polynomial in place of the sigmoid, of stops on [0, 1]; rises from below 0 to 0.99858."""
+    stops = wp.clamp(wp.log2(wp.max(x, 1.0e-10)), wp.static(AGX_LOW), wp.static(AGX_HIGH))
+    t = (stops - wp.static(AGX_LOW)) * wp.static(1.0 / (AGX_HIGH - AGX_LOW))
+    return ((((((15.5 * t - 40.14) * t + 31.96) * t - 6.868) * t + 0.4298) * t) + 0.1191) * t - 0.00232
+
+
+@wp.func
+def curve_agx(v: wp.vec3):
+    """AgX, in linear values: its own encoding, a power of 1 / 2.2, is undone."""
+    c = wp.static(AGX_INSET) * v
+    c = wp.static(AGX_OUTSET) * wp.vec3(agx_channel(c[0]), agx_channel(c[1]), agx_channel(c[2]))
+    c = wp.max(wp.min(c, wp.vec3(1.0, 1.0, 1.0)), wp.vec3())
+    return wp.vec3(wp.pow(c[0], 2.2), wp.pow(c[1], 2.2), wp.pow(c[2], 2.2))
+
+
 @functools.cache
 def tone_curve(name: str):
     """Return the Warp function of a curve's name."""
-    return {"off": curve_off, "reinhard": curve_reinhard, "aces": curve_aces, "pbr_neutral": curve_pbr_neutral}[name]
+    curves = (curve_off, curve_reinhard, curve_aces, curve_pbr_neutral, curve_agx)
+    return dict(zip(CURVES, curves, strict=True))[name]
 
 
 @wp.func

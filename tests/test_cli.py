@@ -104,6 +104,12 @@ def test_render_asks_for_nothing_a_png_does_not_need(fake, tmp_path, capfd):
     assert fake.made[0].outputs == ("display",)
 
 
+def test_a_view_is_a_setting_with_a_legend(fake, tmp_path, capfd):
+    code, out, _ = run(capfd, "render", "x", "-o", tmp_path / "a.png", "--size", "2x2", "--view", "tiles")
+    assert code == 0 and fake.made[0].settings.display.view == "tiles"
+    assert out.startswith("tiles: lights in the mask")
+
+
 def test_quiet_prints_nothing(fake, tmp_path, capfd):
     assert run(capfd, "render", "x", "-o", tmp_path / "a.png", "--size", "2x2", "-q", "--plan") == (0, "", "")
 
@@ -156,6 +162,8 @@ BAD = {
     "no equals": (["explain", "x", "--set", "shade"], "--set: expected stage.field=value"),
     "folder": (["render", "x", "-o", "missing/a.png"], "create it first"),
     "suffix": (["render", "x", "-o", "a.jpg"], "ends in .exr"),
+    "view": (["render", "x", "-o", "a.png", "--view", "norml"], "did you mean 'normal'"),
+    "view without png": (["render", "x", "-o", "a.exr", "--view", "normal"], "add -o NAME.png"),
     "twice": (["render", "x", "-o", "a.png", "-o", "./a.png"], "each file once"),
     "layer": (["render", "x", "-o", "a.exr", "--layers", "dpth"], "did you mean 'depth'"),
     "layer without exr": (["render", "x", "-o", "a.png", "--layers", "depth"], "add -o NAME.exr"),

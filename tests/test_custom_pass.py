@@ -34,11 +34,11 @@ def count_kernel(depth: wp.array[wp.float32], ids: wp.array[wp.int32], out_flag:
 
 
 class Scale(wd.Pass):
-    name = "scale"
+    name = "gain"
     image = "turn"
     kernel = scale_kernel
 
-    def __init__(self, amount, name="scale", after="shade", image="turn"):
+    def __init__(self, amount, name="gain", after="shade", image="turn"):
         self.amount, self.name, self.after, self.image = amount, name, after, image
 
     def run(self, resources):
@@ -104,7 +104,7 @@ def test_the_image_goes_from_pass_to_pass(device, kind, share):
     assert np.array_equal(bits(result["color"]), bits(expected))
     assert not np.array_equal(result["display"], plain["display"])
     names = [stage.name for stage in renderer.plan.passes]
-    assert names[names.index("shade") + 1 :] == ["scale", "add", "half_of_it", "display"]
+    assert names[names.index("shade") + 1 :] == ["gain", "add", "half_of_it", "display"]
     # The picture alone shows the same image, which is then nobody's output.
     alone = renderer_of(device, ("display",), passes=passes, share_memory=share)
     assert np.array_equal(alone.render().numpy("display")[0], result["display"])

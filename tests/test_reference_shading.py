@@ -243,7 +243,7 @@ def test_o4_srgb_round_trip_and_continuity():
     assert np.isclose(ref.srgb_decode(128 / 255), 0.21586050011389926)
 
 
-@pytest.mark.parametrize("curve", [ref.tone_reinhard, ref.tone_aces, ref.tone_pbr_neutral])
+@pytest.mark.parametrize("curve", [ref.tone_reinhard, ref.tone_aces, ref.tone_pbr_neutral, ref.tone_agx])
 def test_o1_o2_tone_curves_are_bounded_and_monotone(curve):
     odd = np.array([0.0, -0.0, -1.0, np.nan, 65504.0, 1e19, np.inf, -np.inf])
     got = curve(np.repeat(odd[:, None], 3, axis=1))

@@ -61,6 +61,7 @@ def _examples(*lines: str) -> str:
         "warp-deferred render helmet.glb -o helmet.png -o helmet.exr --layers normal,albedo,instance_id",
         "warp-deferred render duck.glb -o duck.png --size 640x360 --eye 0,1.5,4 --target 0,0.8,0",
         "warp-deferred render 'terrain?triangles=20000' -o terrain.png --set display.tone_mapping=aces",
+        "warp-deferred render hundred_lights -o tiles.png --view tiles",
         "warp-deferred render hundred_lights -o out/hall.%04d.png --frames 0:120 --fps 30",
     )
 )
@@ -99,6 +100,10 @@ def render(
         typer.Option("--frames", metavar="A:B", help="Render frames A to B-1; OUT needs %04d or {frame} in its name."),
     ] = None,
     fps: Annotated[float, typer.Option("--fps", metavar="F", help="Frames per second: time = frame / F.")] = 30.0,
+    view: Annotated[
+        str | None,
+        typer.Option("--view", metavar="NAME", help="Show a buffer in the .png: normal, depth, tiles, wireframe, ..."),
+    ] = None,
     plan: Annotated[bool, typer.Option("--plan", help="Print what runs, why, and what it costs.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -112,6 +117,8 @@ def render(
     rate = check_range("--fps", fps, 1e-6, unit="frames per second")
     files = arguments.check_outs(out, moving=wanted_frames is not None)
     outputs = arguments.wanted_outputs(files, arguments.parse_layers(layers))
+    if view is not None:
+        set_ = [*(set_ or ()), f"display.view={arguments.check_view(view, outputs)}"]
     points = arguments.parse_points(eye, target)
     scene, settings, chosen = _open(source, set_, device, quiet)
     if wanted_frames is not None:
@@ -130,6 +137,8 @@ def render(
     if plan:
         typer.echo(str(renderer.explain()))
     names = ", ".join(map(str, written)) if len(written) <= 4 else f"{written[0]} ... {written[-1]}"
+    if view is not None:
+        typer.echo(arguments.view_legend(view))
     typer.echo(
         f"wrote {names} ({width}x{height}, {chosen}): {ready - started:.1f} s to load and compile, "
         f"{done - ready:.2f} s to render and write"

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from .channels import OUTPUTS, check_outputs
 from .checks import check_choice, check_range, input_error
+from .debug_views import DEBUG_VIEWS
 from .errors import DeviceError, LoadError
 from .images import check_target
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "check_moves",
     "check_outs",
+    "check_view",
     "choose_camera",
     "choose_device",
     "frame_path",
@@ -30,6 +32,7 @@ __all__ = [
     "parse_layers",
     "parse_size",
     "parse_vector",
+    "view_legend",
     "wanted_outputs",
 ]
 
@@ -115,6 +118,19 @@ def wanted_outputs(paths: Sequence[Path], layers: Sequence[str]) -> tuple[str, .
     if unkept:
         raise input_error("--layers", "outputs that an .exr keeps", unkept[0], "write a .png for the display")
     return tuple(name for name in OUTPUTS if name in names)
+
+
+def check_view(name: str, outputs: Sequence[str]) -> str:
+    """Return the name of a debug view that a .png is there to show."""
+    check_choice("--view", name, [*DEBUG_VIEWS, "picture"])
+    if "display" not in outputs:
+        raise input_error("--view", "a .png among the outputs to show it", name, "add -o NAME.png")
+    return name
+
+
+def view_legend(name: str) -> str:
+    """Return what the colours of a debug view mean."""
+    return f"{name}: {DEBUG_VIEWS[name].doc}" if name in DEBUG_VIEWS else "picture: exposed and tone mapped"
 
 
 def choose_device(name: str | None) -> str:

@@ -73,7 +73,8 @@ def _ambient_visibility(request: Request) -> Verdict:
     if "ambient_visibility" in request.outputs:
         return Verdict(True, "ambient_visibility asked for")
     # Ambient light is part of the image, not of the outputs `diffuse` and `specular`.
-    if not any(name in request.outputs for name in ("color", "display")) and not any(p.image for p in request.passes):
+    shown = "display" in request.outputs and request.settings.display.view in ("picture", "invalid")
+    if not shown and "color" not in request.outputs and not any(p.image for p in request.passes):
         return Verdict(False, "no output asked for shows ambient light")
     return Verdict(request.features.ambient, f"ambient light is {'not ' * request.features.ambient}zero")
 
@@ -98,6 +99,8 @@ def _shadow(request: Request) -> Verdict:
 def _bloom(request: Request) -> Verdict:
     if "display" not in request.outputs:
         return Verdict(False, "display was not asked for")
+    if request.settings.display.view != "picture":
+        return Verdict(False, f"display.view is {request.settings.display.view}")
     return Verdict(request.lens.bloom, f"{'a' if request.lens.bloom else 'no'} camera's lens has bloom")
 
 
@@ -105,7 +108,24 @@ def _smoothed(request: Request) -> Verdict:
     rung = request.settings.anti_aliasing.rung
     if rung == "fxaa" and "display" not in request.outputs:
         return Verdict(False, "no output asked for is a picture")
+    if request.settings.display.view != "picture":
+        return Verdict(False, f"display.view is {request.settings.display.view}")
     return Verdict(rung == "fxaa", f"anti_aliasing.rung={rung}")
+
+
+def _blur(request: Request) -> Verdict:
+    sigma = request.settings.blur.sigma_px
+    return Verdict(sigma > 0.0, f"blur.sigma_px is {sigma:g}")
+
+
+def _debug_view(request: Request) -> Verdict:
+    view = request.settings.display.view
+    return Verdict("display" in request.outputs and view != "picture", f"display.view is {view}")
+
+
+def _scale(request: Request) -> Verdict:
+    rung = request.settings.scale.rung
+    return Verdict("display" in request.outputs and rung != "off", f"scale.rung is {rung}")
 
 
 #: Every optional effect, in frame order.
@@ -119,6 +139,10 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
     Effect("bloom", "", _bloom, before="display"),
     Effect("anti_aliasing", "display", _smoothed),
+    Effect("blur", "average", _blur),
+    Effect("debug_view", "display", _debug_view, quiet=True),
+    # What works on the picture itself belongs above: this one changes its size.
+    Effect("scale", "display", _scale),
 )
 
 

@@ -58,12 +58,15 @@ class Explanation:
         """Gather a plan's reports."""
         sizes = plan.layout.sizes[: plan.request.cameras]
         views = f"{len(sizes)} views of " if len(sizes) > 1 else ""
-        title = f"{scene.name or 'scene'} at {views}{sizes[0].width}x{sizes[0].height} on {plan.resources.device}"
+        size = "{}x{}".format(*sizes[0].shown)
+        title = f"{scene.name or 'scene'} at {views}{size} on {plan.resources.device}"
         notes = [
             f"{plan.resources.scene.triangle_count:,} triangles in {plan.resources.scene.cluster_slots:,} clusters, "
             f"{plan.resources.scene.instance_count:,} instances, {len(scene.lights):,} lights",
             f"buffers {_size(plan.bytes)} beside the scene's {_size(plan.resources.scene.bytes)}",
         ]
+        if sizes[0].shown_width:
+            notes.append(f"rendered at {sizes[0].width}x{sizes[0].height} and scaled up")
         if (bands := _mask_bands(plan)) > 1:
             notes.append(
                 f"light masks come in {bands} bands of tiles, culled and timed with shade; "

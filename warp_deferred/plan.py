@@ -145,14 +145,14 @@ class Plan:
         for name in self.request.outputs:
             buffer = buffers[name]
             channels[name] = wp.zeros(max(buffer.count, 1), dtype=buffer.dtype, device=device)
-            self.outputs[name] = self._as_image(channels[name], buffer.public or buffer.dtype)
+            self.outputs[name] = self._as_image(channels[name], buffer.public or buffer.dtype, name == "display")
         self.shown = {name: array for name, array in self.outputs.items() if name not in self.request.hidden}
 
-    def _as_image(self, array: wp.array, dtype: type) -> wp.array:
-        sizes = [s for s in self.layout.sizes if not s.depth_only]
-        if len({(s.width, s.height) for s in sizes}) != 1:
+    def _as_image(self, array: wp.array, dtype: type, shown: bool) -> wp.array:
+        sizes = [s.shown if shown else (s.width, s.height) for s in self.layout.sizes if not s.depth_only]
+        if len(set(sizes)) != 1:
             return array
-        shape = (len(sizes), sizes[0].height, sizes[0].width)
+        shape = (len(sizes), sizes[0][1], sizes[0][0])
         image = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device, copy=False)
         # The memory lives for as long as someone holds the image, even when the plan is gone.
         image._ref = array

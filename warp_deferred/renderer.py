@@ -30,7 +30,7 @@ from .scene import Scene
 from .selection import check_passes, with_passes
 from .settings import Settings
 from .shadow_slots import ShadowTable, plan_slots
-from .views import MAX_SIZE, ViewLayout, ViewSize
+from .views import MAX_SIZE, ViewSize
 
 __all__ = ["Renderer"]
 
@@ -247,9 +247,19 @@ class Renderer:
 
     def _request(self, cameras: list[Camera]) -> tuple[Request, ShadowTable | None]:
         """What the frame asks of a plan, and its shadow maps where it has shadows."""
+        scale = self.settings.scale
+        if scale.rung != "off" and self.outputs != {"display"}:
+            raise input_error(
+                "Renderer.outputs",
+                f"display alone while scale.rung is {scale.rung}",
+                sorted(self.outputs),
+                "set scale.rung=off: other outputs have a value for each rendered pixel, and there are fewer of them",
+            )
+        shown = (0, 0) if scale.rung == "off" else (self.width, self.height)
+        size = ViewSize(scale.rendered(self.width), scale.rendered(self.height), False, *shown)
         request = Request(
             outputs=self.outputs,
-            sizes=(ViewSize(self.width, self.height),) * len(cameras),
+            sizes=(size,) * len(cameras),
             settings=self.settings,
             features=self._features,
             **self._capacities([c.world for c in cameras]),
@@ -258,8 +268,7 @@ class Renderer:
             share_memory=self._share_memory,
             lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
-        if self._passes:
-            request = with_passes(request, self._passes, ViewLayout(request.sizes, 16))
+        request = with_passes(request, self._passes)
         if not (request.lit and called_for(request, "shadow")):
             return request, None
         worlds = [c.world for c in cameras]

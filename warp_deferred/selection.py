@@ -9,6 +9,7 @@ from typing import Any
 from . import effects
 from .channels import OUTPUTS
 from .checks import check_choice, input_error
+from .debug_views import DEBUG_VIEWS
 from .errors import Error
 from .passes.base import Buffer, Pass, Request
 from .passes.image import all_reads, all_writes, link_images
@@ -104,13 +105,21 @@ def _entry(stage: Pass) -> _Entry:
 
 
 def _insert(entries: list[_Entry], entry: _Entry) -> None:
-    """Put an entry behind the pass it names, and behind what was put there before."""
+    """Put an entry behind the pass it names, and behind what was put there before and does not run in a later part.
+
+    So passes come in the same order whether a frame takes one sample a pixel or several.
+    """
     place = next((k + 1 for k, e in enumerate(entries) if e.name == entry.after), len(entries) if entry.after else 0)
     passed = {entry.after}
-    while place < len(entries) and entries[place].after in passed:
+    while place < len(entries) and entries[place].after in passed and not _later(entries[place], entry):
         passed.add(entries[place].name)
         place += 1
     entries.insert(place, entry)
+
+
+def _later(one: _Entry, other: _Entry) -> bool:
+    """Whether the first runs in a later part of the frame than the second."""
+    return one.stage is not None and other.stage is not None and ORDER[one.stage.scope] > ORDER[other.stage.scope]
 
 
 def check_passes(passes: Any, core: Sequence[type[Pass]]) -> tuple[Pass, ...]:
@@ -138,10 +147,16 @@ def check_passes(passes: Any, core: Sequence[type[Pass]]) -> tuple[Pass, ...]:
     return tuple(result)
 
 
-def with_passes(request: Request, passes: tuple[Pass, ...], layout: ViewLayout) -> Request:
-    """Add a user's own passes to a request; the outputs they read are made as if they were asked for."""
-    request = dataclasses.replace(request, passes=passes)
-    read = {name for stage in passes for name in stage.bound(request, layout).reads() if name in OUTPUTS}
+def with_passes(request: Request, passes: tuple[Pass, ...]) -> Request:
+    """Add a user's own passes; outputs that they or a debug view read are made as if they were asked for."""
+    read: set[str] = set()
+    if passes:
+        request = dataclasses.replace(request, passes=passes)
+        layout = ViewLayout(request.sizes, 16)
+        read = {name for stage in passes for name in stage.bound(request, layout).reads() if name in OUTPUTS}
+    view = DEBUG_VIEWS.get(request.settings.display.view)
+    if view is not None and "display" in request.outputs:
+        read |= {name for name in view.reads if name in OUTPUTS}
     return dataclasses.replace(request, outputs=request.outputs | read, hidden=frozenset(read - request.outputs))
 
 
@@ -159,10 +174,10 @@ def verify(stages: Sequence[Pass], outputs: frozenset[str]) -> None:
     for stage in stages:
         sums = stage.scope in ("accumulate", "average")
         if stage.image in ("turn", "rewrite", "read") and not stage.source and not sums:
-            raise Error(_unread(stage, "the image", []))
+            raise Error(_unread(stage, "", []))
         for name in all_reads(stage):
             if name not in written:
-                raise Error(_unread(stage, repr(name), writers.get(name, []), sorted(written)))
+                raise Error(_unread(stage, name, writers.get(name, []), sorted(written)))
         for name, buffer in all_writes(stage).items():
             known = written.setdefault(name, buffer)
             if (known.dtype, known.count) != (buffer.dtype, buffer.count):
@@ -175,12 +190,16 @@ def verify(stages: Sequence[Pass], outputs: frozenset[str]) -> None:
         raise Error(f"outputs: expected names some pass writes, got {sorted(missing)}; leave them out")
 
 
-def _unread(stage: Pass, what: str, later: list[Pass], known: Sequence[str] = ()) -> str:
-    mend = "add the pass or ask for another output"
+def _unread(stage: Pass, name: str, later: list[Pass], known: Sequence[str] = ()) -> str:
+    """Say that nobody writes a channel, or the HDR image where there is no name, in time."""
+    special, mend = stage.mend(name), "add the pass or ask for another output"
     if later and ORDER[later[0].scope] > ORDER[stage.scope]:
         mend = f"{later[0].name} writes it once all samples are taken: set scope = 'frame_end'"
     elif later:
         mend = f"{later[0].name} writes it later: set after = {later[0].name!r}"
+    elif special:
+        mend = special
     elif known:
         mend += f"; written before it are {', '.join(known)}"
+    what = repr(name) if name else "the image"
     return f"{type(stage).__name__} reads {what}: expected an earlier pass that writes it, got none; {mend}"

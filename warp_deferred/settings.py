@@ -6,7 +6,14 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AmbientVisibilitySettings, AntiAliasingSettings, BloomSettings, ShadowSettings
+from .effect_settings import (
+    AmbientVisibilitySettings,
+    AntiAliasingSettings,
+    BloomSettings,
+    BlurSettings,
+    ScaleSettings,
+    ShadowSettings,
+)
 from .records import Record
 
 __all__ = [
@@ -60,8 +67,15 @@ class ShadeSettings(Record):
 class DisplaySettings(Record):
     """From radiance to the picture."""
 
-    tone_mapping: Literal["off", "reinhard", "aces", "pbr_neutral"] = "pbr_neutral"
+    tone_mapping: Literal["off", "reinhard", "aces", "pbr_neutral", "agx"] = "pbr_neutral"
     """Curve from scene to display radiance."""
+    view: Literal[
+        "picture", "normal", "depth", "position", "albedo", "diffuse", "specular", "alpha", "ambient_visibility",
+        "instance_id", "semantic_id", "material_id", "triangle_id", "light_count", "tiles", "clusters", "wireframe",
+        "shadow_atlas", "invalid",
+    ] = "picture"  # fmt: skip
+    """What the output `display` shows: the picture, or a buffer of the frame by the colours of `debug_views.py`. What a
+    buffer does not need is then not run."""
 
 
 class Settings(Record):
@@ -85,6 +99,10 @@ class Settings(Record):
     """Tone mapping."""
     anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()
     """Samples a pixel."""
+    blur: BlurSettings = BlurSettings()
+    """A Gaussian over the image."""
+    scale: ScaleSettings = ScaleSettings()
+    """Rendered size."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.

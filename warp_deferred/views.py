@@ -30,15 +30,23 @@ CULL_MODES = {"none": 0, "back": 1, "front": 2}
 
 @dataclasses.dataclass(frozen=True)
 class ViewSize:
-    """Size of a view [px] and what it keeps: keys with ids, or depth only."""
+    """Size of a view [px], what it keeps (keys with ids, or depth only), and the size its picture is scaled up to."""
 
     width: int
     height: int
     depth_only: bool = False
+    #: Size of the picture where it is another; 0: as rendered.
+    shown_width: int = 0
+    shown_height: int = 0
 
     def __post_init__(self) -> None:
         check_count("width", self.width, 1, MAX_SIZE, "images are 1 to 16384 pixels a side")
         check_count("height", self.height, 1, MAX_SIZE, "images are 1 to 16384 pixels a side")
+
+    @property
+    def shown(self) -> tuple[int, int]:
+        """Width and height of the picture [px]."""
+        return self.shown_width or self.width, self.shown_height or self.height
 
 
 class ViewLayout:
@@ -48,6 +56,7 @@ class ViewLayout:
         sizes: The views' sizes, in order.
         pixels: Pixels of the arena of 64-bit keys.
         depth_pixels: Pixels of the arena of 32-bit depth keys.
+        shown_pixels: Pixels of the pictures, scaled up or as rendered.
         blocks: (b, 4) int32: view, x, y of each 8 x 8 block of views that keep ids, 0.
         tiles: (t, 4) int32: view, x, y and coarse tile of each light tile.
         coarse_tiles: (c, 4) int32: view, x, y, 0 of each coarse light tile.
@@ -68,6 +77,7 @@ class ViewLayout:
                 "render fewer views at a time"
             )
         self.pixels, self.depth_pixels = pixels, depth_pixels
+        self.shown_pixels = sum(s.shown[0] * s.shown[1] for s in sizes if not s.depth_only)
         self.fields: list[tuple[int, ...]] = []
         self.shown_bins = 0
         offsets = {False: 0, True: 0}
@@ -160,7 +170,11 @@ class ViewPacker:
         for v, camera in enumerate(cameras):
             size = layout.sizes[v]
             offset, pitch, *tables = layout.fields[v]
-            fx, fy, cx, cy = camera.pixel_projection(size.width, size.height)
+            fx, fy, cx, cy = camera.pixel_projection(*size.shown)
+            if size.shown_width:
+                # The picture's field of view, also where rounding gave the rendered one another aspect.
+                sx, sy = size.width / size.shown_width, size.height / size.shown_height
+                fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
             self._pack(
                 buffer, v * self.size, *camera.position, offset, *camera.rotation, fx, -fy, cx, cy, camera.near,
                 camera.far, 2.0**camera.exposure, PROJECTIONS[camera.projection], self._cull, int(depth_clamp),

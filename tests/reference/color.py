@@ -11,6 +11,7 @@ __all__ = [
     "srgb_decode",
     "srgb_encode",
     "tone_aces",
+    "tone_agx",
     "tone_pbr_neutral",
     "tone_reinhard",
     "unpack_unorm",
@@ -85,6 +86,34 @@ def tone_pbr_neutral(radiance: np.ndarray) -> np.ndarray:
     towards_white = 1.0 - 1.0 / (desaturation * (peak - squeezed) + 1.0)
     high = rgb * (squeezed / np.maximum(peak, knee))
     return np.where(peak < knee, rgb, high + (squeezed - high) * towards_white)
+
+
+def tone_agx(radiance: np.ndarray) -> np.ndarray:
+    """Compress by AgX. Source: Wrensch 2023, Minimal AgX Implementation; rows of the matrices scaled to a sum of 1.
+
+    Args:
+        radiance: (..., 3).
+    """
+    inset = np.array(
+        [
+            [0.842479062253094, 0.0784335999999992, 0.0792237451477643],
+            [0.0423282422610123, 0.878468636469772, 0.0791661274605434],
+            [0.0423756549057051, 0.0784336, 0.879142973793104],
+        ]
+    )
+    outset = np.array(
+        [
+            [1.19687900512017, -0.0980208811401368, -0.0990297440797205],
+            [-0.0528968517574562, 1.15190312990417, -0.0989611768448433],
+            [-0.0529716355144438, -0.0980434501171241, 1.15107367264116],
+        ]
+    )
+    inset, outset = (m / m.sum(axis=1, keepdims=True) for m in (inset, outset))
+    low, high = -12.47393, 4.026069
+    with np.errstate(divide="ignore"):
+        stops = np.clip(np.log2(_scene_range(radiance) @ inset.T), low, high)
+    curve = np.polyval([15.5, -40.14, 31.96, -6.868, 0.4298, 0.1191, -0.00232], (stops - low) / (high - low))
+    return np.clip(curve @ outset.T, 0.0, 1.0) ** 2.2
 
 
 def linear_depth(z: np.ndarray, *, near: float, far: float, orthographic: bool) -> np.ndarray:

@@ -9,7 +9,7 @@ from ..kernels import color as color_kernels
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
-from .display import ALIASED
+from .display import ALIASED, shown_channel
 
 __all__ = ["AntiAliasingPass"]
 
@@ -31,7 +31,7 @@ class AntiAliasingPass(Pass):
 
     def writes(self) -> dict[str, Buffer]:
         """The picture."""
-        return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
+        return {shown_channel(self.request): Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
         """Upload the tables of the encoding."""
@@ -47,7 +47,7 @@ class AntiAliasingPass(Pass):
             kernels.anti_aliasing_kernel,
             len(self.layout.blocks) * 64,
             [resources.frame.views, resources.blocks, channels[ALIASED], *self.tables, FIRST],
-            [channels["display"]],
+            [channels[shown_channel(self.request)]],
             block_dim=kernels.BLOCK_DIM,
             band=64,
         )

@@ -14,6 +14,7 @@ import copy
 import dataclasses
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
+from ..debug_views import DEBUG_VIEWS
 from ..features import Features
 from ..settings import Settings
 from ..views import ViewLayout, ViewSize
@@ -67,7 +68,7 @@ class Request:
         share_memory: Let buffers whose lives do not overlap share memory.
         lens: What the cameras' lenses call for.
         passes: The user's own passes, in order; compared as they compare themselves, by identity unless they say how.
-        hidden: Outputs that only those passes read: made, and not shown in frames.
+        hidden: Outputs that only those passes or a debug view read: made, and not shown in frames.
         shadow_slots: Shadow maps: the last views, of depth only.
     """
 
@@ -95,7 +96,10 @@ class Request:
     @property
     def lit(self) -> bool:
         """Whether something that holds light is wanted."""
-        return any(name in self.outputs for name in LIT_OUTPUTS) or any(stage.image for stage in self.passes)
+        view = DEBUG_VIEWS.get(self.settings.display.view)
+        unlit = {"display"} if view is not None and not view.lit else set()
+        wanted = self.outputs - unlit
+        return any(name in wanted for name in LIT_OUTPUTS) or any(stage.image for stage in self.passes)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,6 +162,10 @@ class Pass(abc.ABC):
     def reads(self) -> tuple[str, ...]:
         """Names of the channels it reads, the HDR image apart."""
         return ()
+
+    def mend(self, name: str) -> str:
+        """What to do where nobody writes a channel it reads; empty for the usual advice."""
+        return ""
 
     def writes(self) -> dict[str, Buffer]:
         """Channels it writes, the HDR image apart: name -> buffer."""

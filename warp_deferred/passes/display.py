@@ -10,13 +10,18 @@ from ..kernels import display as kernels
 from ..kernels import structs
 from ..program import FIRST
 from ..resources import Resources
-from .base import Buffer, Pass
+from .base import Buffer, Pass, Request
 from .image import float_image, image_bytes, make_image
 
-__all__ = ["ALIASED", "DisplayPass"]
+__all__ = ["ALIASED", "DisplayPass", "shown_channel"]
 
 #: Channel of the picture where a later pass makes the public one of it.
 ALIASED = "display_aliased"
+
+
+def shown_channel(request: Request) -> str:
+    """Channel that the picture, or the view in its place, is written to: `display`, or what is scaled up to it."""
+    return "display" if request.settings.scale.rung == "off" else "display_rendered"
 
 
 class DisplayPass(Pass):
@@ -28,8 +33,14 @@ class DisplayPass(Pass):
     scope = "frame_end"
 
     def called_for(self) -> str | None:
-        """Only for its own output."""
-        return "display asked for" if "display" in self.request.outputs else None
+        """Only for its own output, and where no debug view takes its place."""
+        wanted = "display" in self.request.outputs and self.request.settings.display.view == "picture"
+        return "display asked for" if wanted else None
+
+    def why_not(self) -> str:
+        """A debug view, or nobody asked."""
+        view = self.request.settings.display.view
+        return super().why_not() if view == "picture" else f"display.view is {view}"
 
     def rung(self) -> str:
         """Tone curve."""
@@ -43,7 +54,7 @@ class DisplayPass(Pass):
     @property
     def written(self) -> str:
         """Name of the channel it writes."""
-        return ALIASED if called_for(self.request, "anti_aliasing") else "display"
+        return ALIASED if called_for(self.request, "anti_aliasing") else shown_channel(self.request)
 
     def reads(self) -> tuple[str, ...]:
         """Bloom where there is some."""
