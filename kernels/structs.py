@@ -1,6 +1,6 @@
 """Structs shared by all kernels, and the constants that host and device agree on.
 
-Sizes in bytes (asserted by tests/kernels/test_structs.py): View 184, Transform 64, Instance 80, Pair 92, Cluster 48,
+Sizes in bytes (asserted by tests/kernels/test_structs.py): View 192, Transform 64, Instance 80, Pair 92, Cluster 48,
 LargeTriangle 48, Material 128 on the device plus its textures' handles.
 
 Only arrays whose content may change from frame to frame hold per-frame values; a captured graph freezes what is
@@ -68,6 +68,8 @@ class View:
     near: wp.float32  # near plane [m]
     far: wp.float32  # far plane [m], orthographic only
     exposure: wp.float32  # linear factor
+    aperture: wp.float32  # diameter of the lens opening [m]; 0: a pinhole, or orthographic
+    focus_distance: wp.float32  # view depth in focus [m]
     projection: wp.int32  # PERSPECTIVE or ORTHOGRAPHIC
     cull_mode: wp.int32
     depth_clamp: wp.int32  # orthographic: clamp depth to [0, 1] instead of dropping fragments

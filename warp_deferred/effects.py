@@ -12,7 +12,7 @@ import importlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .sampling import pixel_samples
+from .sampling import lens_samples, pixel_samples
 
 if TYPE_CHECKING:
     from .passes.base import Pass, Request
@@ -63,6 +63,7 @@ class Effect:
 
 def _sampled(request: Request) -> Verdict:
     rungs = [f"anti_aliasing.rung={request.settings.anti_aliasing.rung}"] * (pixel_samples(request) > 1)
+    rungs += ["depth_of_field.rung=lens_samples"] * (lens_samples(request) > 1)
     return Verdict(bool(rungs), ", ".join(rungs) or "no rung takes several samples a pixel")
 
 
@@ -72,13 +73,27 @@ def _points(request: Request) -> Verdict:
     return Verdict(count > 0, reason if count else "no mesh takes its points from an array")
 
 
+def _depth_of_field(request: Request) -> Verdict:
+    if not request.lens.aperture:
+        return Verdict(False, "no camera has an aperture")
+    if request.settings.depth_of_field.rung == "lens_samples":
+        return Verdict(False, "lens_samples moves the views instead")
+    return Verdict(True, "a camera has an aperture")
+
+
+def _lens_samples(request: Request) -> Verdict:
+    return Verdict(lens_samples(request) > 1, "a camera has an aperture and depth_of_field.rung is lens_samples")
+
+
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
     Effect("points", "", _points, quiet=True),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
+    Effect("lens_samples", "begin_sample", _lens_samples, "depth_of_field", quiet=True),
     Effect("accumulate", "shade", _sampled, "sampling"),
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
+    Effect("depth_of_field", "average", _depth_of_field),
 )
 
 

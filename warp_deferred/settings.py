@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AntiAliasingSettings
+from .effect_settings import AntiAliasingSettings, DepthOfFieldSettings
 from .records import Record
 
 __all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
@@ -76,6 +76,8 @@ class Settings(Record):
     """Tone mapping."""
     anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()
     """Samples a pixel."""
+    depth_of_field: DepthOfFieldSettings = DepthOfFieldSettings()
+    """Blur of what is out of focus."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.

@@ -157,7 +157,8 @@ class ViewPacker:
             fx, fy, cx, cy = camera.pixel_projection(size.width, size.height)
             self._pack(
                 buffer, v * self.size, *camera.position, offset, *camera.rotation, fx, -fy, cx, cy, camera.near,
-                camera.far, 2.0**camera.exposure, PROJECTIONS[camera.projection], self._cull, int(depth_clamp),
+                camera.far, 2.0**camera.exposure, camera.aperture if camera.has_lens else 0.0, camera.focus_distance,
+                PROJECTIONS[camera.projection], self._cull, int(depth_clamp),
                 int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], 0,
             )  # fmt: skip
 
