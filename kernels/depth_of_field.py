@@ -8,15 +8,17 @@ and fill are ours). What lies behind the plane in focus and what lies before it 
   pixel's, so a sharp object neither bleeds into a blurred background nor is bled over, and counts by the inverse of
   that circle's area, as its light is spread over it. The weights are normalised.
 - before: taps within the largest circle of the neighbourhood before the plane in focus, which dilated tiles tell. A
-  tap counts by the share of its circle that falls to the pixel; the sum is the layer's coverage. What a pixel of the
-  layer hides is filled from the taps that are not of it.
+  tap counts by the share of its circle that falls to the pixel; the sum is the layer's coverage. Taps nearer than the
+  pixel are laid over those as near as it, and these over what fills in for the part that such a pixel hides: the mean
+  of the taps farther away.
 
-Taps of large circles come from reduced copies of the image, one texel a tap, so that no bright point falls between
-taps: level l has texels of 2^l pixels, and averages only children with a circle like the largest of the four. All
-levels lie in tiles of 16 x 16 pixels, one texel one load: half4 of colour and signed radius, or vec4 in float32 plans.
+Taps of large circles come from reduced copies of the image: level l has texels of 2^l pixels, and averages only
+children on one side with circles of about one size. Every texel around a pixel is one tap, at its true distance, so no
+bright point falls between taps and nothing shows where the texels lie. All levels lie in tiles of 16 x 16 pixels, one
+texel one load: half4 of colour and signed radius, or vec4 in float32 plans.
 
-Bytes a pixel: 12 in, 8 + 8/3 out for the levels; image in and out 16, taps from the caches. Operations: about 25 a tap,
-a pixel in focus takes none, one of a circle of n rings 1 + 3 n (n + 1). No atomics; the same bits from run to run.
+Bytes a pixel: 12 in, 8 + 8/3 out for the levels; image in and out 16, taps from the caches. Operations: about 30 a tap,
+a pixel in focus takes none, one of a circle of n texels (2 n + 1)^2. No atomics; the same bits from run to run.
 """
 
 from __future__ import annotations
@@ -70,6 +72,12 @@ def lens_samples_kernel(
         out_views[v] = through_lens(view, disc_point(lens[0], lens[1]))
 
 
+@wp.func
+def over(color: wp.vec3, sums: wp.vec3, weight: wp.float32):
+    """A layer of that coverage, at most 1, laid over a colour."""
+    return color + (sums * (1.0 / weight) - color) * wp.min(weight, 1.0)
+
+
 @functools.cache
 def make_depth_of_field_kernels(rung: str, half: bool):
     """Kernels of a rung: (pack, reduce, dilate, gather) or (rows, columns).
@@ -78,10 +86,12 @@ def make_depth_of_field_kernels(rung: str, half: bool):
         rung: gather or plane_lerp.
         half: Whether the plan keeps half4 images.
     """
-    return _gather_kernels(half) if rung == "gather" else _plane_kernels(half)
+    return make_gather(half) if rung == "gather" else make_plane_lerp(half)
 
 
-def _gather_kernels(half: bool):
+@functools.cache
+def make_gather(half: bool):
+    """(pack, reduce, dilate, gather) kernels; `half`: whether the plan keeps half4 images."""
     load, store = make_image_codec(half)
     load_tap, store_tap = make_taps(half)
     behind, before = make_layers(half)
@@ -205,9 +215,9 @@ def _gather_kernels(half: bool):
         depth: wp.array[wp.float32],
         taps: Taps,
         reach: wp.array[wp.float32],
-        ring: wp.array[wp.vec4],
         # Params
         limit: wp.float32,
+        texels: wp.int32,
         first: wp.int32,
         # Out
         out_image: Image,
@@ -224,24 +234,27 @@ def _gather_kernels(half: bool):
         color = load(image, i)
         s = circle_of_confusion(view, depth[i], limit)
         if s > SHARP_PX:
-            layer = behind(taps, ring, view, x, y, s)
-            if layer.weight > 0.0:
-                color = layer.color * (1.0 / layer.weight)
+            sums = behind(taps, view, x, y, s, texels)
+            if sums[3] > 0.0:
+                color = wp.vec3(sums[0], sums[1], sums[2]) * (1.0 / sums[3])
         radius = reach_at(reach, view, x, y)
         if radius > SHARP_PX:
-            layer = before(taps, ring, view, x, y, radius)
-            if layer.weight > 0.0:
-                if layer.fill_weight > 0.0:
-                    filled = layer.fill * (1.0 / layer.fill_weight)
-                    color = color + (filled - color) * wp.clamp(-s, 0.0, 1.0)
-                nearer = layer.color * (1.0 / layer.weight)
-                color = color + (nearer - color) * wp.min(layer.weight, 1.0)
+            layers = before(taps, view, x, y, radius, s, texels)
+            if layers.fill_weight > 0.0 and s < 0.0:
+                filled = layers.fill * (1.0 / layers.fill_weight)
+                color = color + (filled - color) * wp.min(-s, 1.0)
+            if layers.same_weight > 0.0:
+                color = over(color, layers.same, layers.same_weight)
+            if layers.front_weight > 0.0:
+                color = over(color, layers.front, layers.front_weight)
         store(out_image, i, color)
 
     return pack_kernel, reduce_kernel, dilate_kernel, gather_kernel
 
 
-def _plane_kernels(half: bool):
+@functools.cache
+def make_plane_lerp(half: bool):
+    """(rows, columns) kernels; `half`: whether the plan keeps half4 images."""
     load, store = make_image_codec(half)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)

@@ -18,6 +18,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 #: Texels of a 16 x 16 tile over all levels, 256 + 64 + 16 + 4, and without the first.
 TILE_TEXELS = 340
 REDUCED_TEXELS = 84
+INVERSE_PI = wp.constant(wp.float32(0.3183098861837907))
 #: Texels before level 3, the nearest circles', which have no level 0.
 NEAR_TOP = wp.constant(80)
 
@@ -32,12 +33,14 @@ class Taps:
 
 
 @wp.struct
-class Layer:
-    """What the taps of one layer come to."""
+class Layers:
+    """Weighted sums of the taps before the plane in focus."""
 
-    color: wp.vec3  # weighted sum
-    weight: wp.float32
-    fill: wp.vec3  # of the taps that are not of the layer
+    front: wp.vec3  # nearer than the pixel
+    front_weight: wp.float32
+    same: wp.vec3  # as near as it
+    same_weight: wp.float32
+    fill: wp.vec3  # what lies behind it
     fill_weight: wp.float32
 
 
@@ -78,16 +81,22 @@ def reach_at(reach: wp.array[wp.float32], view: View, x: wp.int32, y: wp.int32):
 
 
 @wp.func
-def level_of(radius: wp.float32, rings: wp.int32):
-    """Level whose texels are about as far apart as the taps of a circle of that radius."""
-    spacing = radius / wp.float32(rings)
-    return wp.where(spacing <= 1.0, 0, wp.where(spacing <= 2.0, 1, wp.where(spacing <= 4.0, 2, 3)))
+def level_of(radius: wp.float32, reach: wp.int32):
+    """Lowest level at which a radius is at most so many texels, or the highest."""
+    texel = radius / wp.float32(reach)
+    return wp.where(texel <= 1.0, 0, wp.where(texel <= 2.0, 1, wp.where(texel <= 4.0, 2, 3)))
 
 
 @wp.func
-def covers(radius: wp.float32, distance: wp.float32, inverse_step: wp.float32):
-    """Share of a tap's place that lies within its circle: 1 inside, 0 outside, a slope of one step between."""
-    return wp.clamp((radius - distance) * inverse_step + 0.5, 0.0, 1.0)
+def texels_of(radius: wp.float32, level: wp.int32):
+    """Texels to either side that a circle around any pixel of a texel may touch, half a texel of slope included."""
+    return wp.int32(radius / wp.float32(1 << level) + 1.0)
+
+
+@wp.func
+def covers(radius: wp.float32, distance: wp.float32, inverse_texel: wp.float32):
+    """Share of a tap's place that lies within its circle: 1 inside, 0 outside, a slope of one texel between."""
+    return wp.clamp((radius - distance) * inverse_texel + 0.5, 0.0, 1.0)
 
 
 @functools.cache
@@ -118,94 +127,105 @@ def make_taps(half: bool):
 
 
 @wp.func
-def largest_circle(a: wp.float32, b: wp.float32):
-    """The signed radius whose circle is larger; of equal ones the first."""
-    return wp.where(wp.abs(b) > wp.abs(a), b, a)
-
-
-@wp.func
-def alike(radius: wp.float32, chosen: wp.float32):
-    """1 where a child's circle is about like the chosen one, so that their colours may be averaged, else 0."""
-    return wp.where(wp.abs(radius - chosen) <= wp.max(1.0, 0.25 * wp.abs(chosen)), 1.0, 0.0)
+def belongs(radius: wp.float32, near: wp.bool, inverse: wp.float32):
+    """Weight of a child in a texel of that side: 0 on the other side, or where its circle is much the smaller."""
+    if (radius < 0.0) != near:
+        return wp.float32(0.0)
+    return wp.clamp(2.0 * wp.abs(radius) * inverse - 0.5, 0.0, 1.0)
 
 
 @wp.func
 def merged(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
-    """One texel out of four: mean colour of those with a circle like the largest, and that circle."""
-    chosen = largest_circle(largest_circle(a[3], b[3]), largest_circle(c[3], d[3]))
-    wa, wb, wc, wd = alike(a[3], chosen), alike(b[3], chosen), alike(c[3], chosen), alike(d[3], chosen)
-    mean = (a * wa + b * wb + c * wc + d * wd) * (1.0 / (wa + wb + wc + wd))
-    return wp.vec4(mean[0], mean[1], mean[2], chosen)
+    """One texel out of four: the side of the plane in focus that most lie on, and their mean colour and circle.
+
+    A sharp child is left out of a blurred texel, so its colour is not spread.
+    """
+    sides = wp.sign(a[3]) + wp.sign(b[3]) + wp.sign(c[3]) + wp.sign(d[3])
+    near = sides < 0.0 or (sides == 0.0 and a[3] < 0.0)
+    turn = wp.where(near, -1.0, 1.0)
+    largest = wp.max(wp.max(a[3] * turn, b[3] * turn), wp.max(c[3] * turn, d[3] * turn))
+    if largest < 1.0:
+        return (a + b + c + d) * 0.25
+    inverse = 1.0 / largest
+    wa, wb = belongs(a[3], near, inverse), belongs(b[3], near, inverse)
+    wc, wd = belongs(c[3], near, inverse), belongs(d[3], near, inverse)
+    return (a * wa + b * wb + c * wc + d * wd) * (1.0 / (wa + wb + wc + wd))
 
 
 @functools.cache
 def make_layers(half: bool):
-    """(behind, before) functions: what the taps around a pixel come to."""
+    """(behind, before) functions: what the texels around a pixel come to. `reach` is the most texels of a radius."""
     load = make_taps(half)[0]
 
     @wp.func
-    def behind(taps: Taps, ring: wp.array[wp.vec4], view: View, x: wp.int32, y: wp.int32, radius: wp.float32):
-        """Taps within the pixel's circle; `ring` ends with the number of rings."""
-        level = level_of(radius, wp.int32(ring[0][3]))
-        rings = wp.clamp(wp.int32(wp.ceil(radius / wp.float32(1 << level))), 1, wp.int32(ring[0][3]))
-        step = radius / wp.float32(rings)
-        inverse = 1.0 / step
-        shape = circle_shape(view) * step
-        smallest = 0.25 * step * step
-        layer = Layer()
+    def behind(taps: Taps, view: View, x: wp.int32, y: wp.int32, radius: wp.float32, reach: wp.int32):
+        """Weighted sum of the colours of the taps within the pixel's circle, and their weight."""
+        level = level_of(radius, reach)
+        size = 1 << level
+        shape = circle_shape(view)
+        nx, ny = texels_of(radius * shape[0], level), texels_of(radius * shape[1], level)
+        inverse = 1.0 / wp.float32(size)
+        smallest = 0.25 * wp.float32(size * size)
+        fx, fy = 1.0 / shape[0], 1.0 / shape[1]
+        left, top = (x >> level) - nx, (y >> level) - ny
         color = wp.vec3(0.0, 0.0, 0.0)
         weight = wp.float32(0.0)
-        for k in range(1 + 3 * rings * (rings + 1)):
-            tap = load_vec4(ring, k)
-            tx = x + wp.int32(wp.round(tap[0] * shape[0]))
-            ty = y + wp.int32(wp.round(tap[1] * shape[1]))
-            value = load(taps, tap_index(view, taps.tiles, level, tx, ty))
-            s = value[3]
-            reach = wp.clamp(s, 0.0, radius)
-            # What lies before the plane in focus is the other layer's.
-            share = covers(reach, tap[2] * step, inverse) * wp.clamp(1.0 + s, 0.0, 1.0)
-            w = wp.where(k == 0, 0.75, 1.0) * share / wp.max(reach * reach, smallest)
-            color = color + wp.vec3(value[0], value[1], value[2]) * w
-            weight = weight + w
-        layer.color = color
-        layer.weight = weight
-        return layer
+        for j in range(2 * ny + 1):
+            ty = (top + j) << level
+            dy = (wp.float32(ty - y) + 0.5 * wp.float32(size - 1)) * fy
+            for i in range(2 * nx + 1):
+                tx = (left + i) << level
+                dx = (wp.float32(tx - x) + 0.5 * wp.float32(size - 1)) * fx
+                distance = wp.sqrt(dx * dx + dy * dy)
+                value = load(taps, tap_index(view, taps.tiles, level, tx, ty))
+                circle = wp.clamp(value[3], 0.0, radius)
+                # What lies before the plane in focus is the other layer's.
+                share = covers(circle, distance, inverse) * wp.clamp(1.0 + value[3], 0.0, 1.0)
+                w = share / wp.max(circle * circle, smallest)
+                color = color + wp.vec3(value[0], value[1], value[2]) * w
+                weight = weight + w
+        return wp.vec4(color[0], color[1], color[2], weight)
 
     @wp.func
-    def before(taps: Taps, ring: wp.array[wp.vec4], view: View, x: wp.int32, y: wp.int32, radius: wp.float32):
-        """Taps before the plane in focus, and what fills in behind them."""
-        level = level_of(radius, wp.int32(ring[0][3]))
-        rings = wp.clamp(wp.int32(wp.ceil(radius / wp.float32(1 << level))), 1, wp.int32(ring[0][3]))
-        step = radius / wp.float32(rings)
-        inverse = 1.0 / step
-        shape = circle_shape(view) * step
-        area = step * step * 0.333333333
-        smallest = 0.25 * step * step
-        layer = Layer()
-        color = wp.vec3(0.0, 0.0, 0.0)
-        fill = wp.vec3(0.0, 0.0, 0.0)
-        weight = wp.float32(0.0)
-        fill_weight = wp.float32(0.0)
-        for k in range(1 + 3 * rings * (rings + 1)):
-            tap = load_vec4(ring, k)
-            tx = x + wp.int32(wp.round(tap[0] * shape[0]))
-            ty = y + wp.int32(wp.round(tap[1] * shape[1]))
-            value = load(taps, tap_index(view, taps.tiles, level, tx, ty))
-            c = wp.vec3(value[0], value[1], value[2])
-            far = wp.clamp(1.0 + value[3], 0.0, 1.0)
-            reach = wp.max(-value[3], 0.0)
-            # A pixel covers itself, however small its circle.
-            share = wp.where(k == 0, 0.75, covers(reach, tap[2] * step, inverse)) * (1.0 - far)
-            w = share * area / wp.max(reach * reach, smallest)
-            color = color + c * w
-            weight = weight + w
-            nearness = far / (0.25 + tap[2] * tap[2])
-            fill = fill + c * nearness
-            fill_weight = fill_weight + nearness
-        layer.color = color
-        layer.weight = weight
-        layer.fill = fill
-        layer.fill_weight = fill_weight
-        return layer
+    def before(taps: Taps, view: View, x: wp.int32, y: wp.int32, radius: wp.float32, own: wp.float32, reach: wp.int32):
+        """Taps before the plane in focus: nearer than the pixel, as near as it, and what fills in behind it."""
+        level = level_of(radius, reach)
+        size = 1 << level
+        shape = circle_shape(view)
+        nx, ny = texels_of(radius * shape[0], level), texels_of(radius * shape[1], level)
+        inverse = 1.0 / wp.float32(size)
+        area = wp.float32(size * size) * INVERSE_PI
+        smallest = 0.25 * wp.float32(size * size)
+        fx, fy = 1.0 / shape[0], 1.0 / shape[1]
+        left, top = (x >> level) - nx, (y >> level) - ny
+        side = wp.min(own, 0.0)
+        contrast = 2.0 / wp.max(-side, 1.0)
+        layers = Layers()
+        for j in range(2 * ny + 1):
+            ty = (top + j) << level
+            dy = (wp.float32(ty - y) + 0.5 * wp.float32(size - 1)) * fy
+            for i in range(2 * nx + 1):
+                tx = (left + i) << level
+                dx = (wp.float32(tx - x) + 0.5 * wp.float32(size - 1)) * fx
+                # A pixel covers itself, however small its circle.
+                distance = wp.where(i == nx and j == ny, 0.0, wp.sqrt(dx * dx + dy * dy))
+                value = load(taps, tap_index(view, taps.tiles, level, tx, ty))
+                s = value[3]
+                c = wp.vec3(value[0], value[1], value[2])
+                circle = wp.max(-s, 0.0)
+                # It counts by area over its circle's, which is widened where it is smaller than a texel.
+                w = covers(wp.where(distance == 0.0, wp.float32(size), circle), distance, inverse)
+                w = w * wp.min(circle, 1.0) * area / wp.max(circle * circle, smallest)
+                nearer = w * wp.clamp(2.0 * (side - s) / wp.max(circle, 1.0) - 0.5, 0.0, 1.0)
+                farther = wp.clamp((s - side) * contrast - 0.5, 0.0, 1.0)
+                layers.front = layers.front + c * nearer
+                layers.front_weight = layers.front_weight + nearer
+                w = (w - nearer) * (1.0 - farther)
+                layers.same = layers.same + c * w
+                layers.same_weight = layers.same_weight + w
+                w = farther * covers(radius, distance, inverse)
+                layers.fill = layers.fill + c * w
+                layers.fill_weight = layers.fill_weight + w
+        return layers
 
     return behind, before

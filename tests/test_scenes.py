@@ -25,6 +25,7 @@ from warp_deferred.settings import GBufferSettings, Settings, ShadeSettings
 FULL = Settings(gbuffer=GBufferSettings(rung="full"), shade=ShadeSettings(radiance="float32"))
 #: Small forms of every scene, by name.
 SMALL = {
+    "focus": "focus",
     "furnace": "furnace",
     "hundred_lights": "hundred_lights",
     "lambert_plane": "lambert_plane",

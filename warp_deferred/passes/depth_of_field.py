@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import warp as wp
 
@@ -16,19 +14,6 @@ from .base import Buffer, Pass, Request
 from .image import float_image, image_bytes, make_image
 
 __all__ = ["DepthOfFieldPass", "LensSamplesPass"]
-
-
-def ring_table(rings: int) -> np.ndarray:
-    """Taps of a disc, ring by ring: (x, y, distance) in steps from one ring to the next, and the number of rings.
-
-    Ring j has 6 j taps, each standing for the same area; every other ring is turned by half a tap.
-    """
-    rows = [(0.0, 0.0, 0.0, rings)]
-    for ring in range(1, rings + 1):
-        for k in range(6 * ring):
-            angle = 2.0 * math.pi * (k + 0.5 * (ring % 2)) / (6 * ring)
-            rows.append((ring * math.cos(angle), ring * math.sin(angle), ring, rings))
-    return np.float32(rows)
 
 
 def blur_weights(radius: int) -> np.ndarray:
@@ -83,7 +68,7 @@ class DepthOfFieldPass(Pass):
         }
 
     def prepare(self, resources: Resources) -> None:
-        """Fetch the kernels, upload the taps."""
+        """Fetch the kernels, build the structs."""
         settings, full = self.request.settings.depth_of_field, float_image(self.request)
         self.kernels = kernels.make_depth_of_field_kernels(self.rung(), not full)
         self.seen = make_image(resources, self.request, self.source)
@@ -97,7 +82,6 @@ class DepthOfFieldPass(Pass):
         self.taps.half = resources.channel("" if full else "lens_taps", wp.uint64)
         self.taps.full = resources.channel("lens_taps" if full else "", wp.vec4)
         self.taps.tiles = len(self.layout.bin_tiles)
-        self.ring = wp.array(ring_table(settings.rings), dtype=wp.vec4, device=device)
 
     def run(self, resources: Resources) -> None:
         """Reduce, dilate, gather; or blur along both axes."""
@@ -114,13 +98,14 @@ class DepthOfFieldPass(Pass):
     def _run_gather(self, resources: Resources) -> None:
         channels, views = resources.channels, resources.frame.views
         depth, near, reach = channels["depth"], channels["lens_near"], channels["lens_reach"]
-        tiles, limit = len(self.layout.bin_tiles), self.request.settings.depth_of_field.max_radius_px
+        settings, tiles = self.request.settings.depth_of_field, len(self.layout.bin_tiles)
+        limit = settings.max_radius_px
         grid = [views, resources.bin_tiles]
         self._launch(resources, 0, tiles * 64, [*grid, self.seen, depth, limit], [self.taps, near])
         for level in (2, 3):
             self._launch(resources, 1, tiles * (256 >> 2 * level), [*grid, level], [self.taps, near])
         self._launch(resources, 2, tiles, [*grid, near, limit], [reach])
-        inputs = [views, resources.blocks, self.seen, depth, self.taps, reach, self.ring, limit]
+        inputs = [views, resources.blocks, self.seen, depth, self.taps, reach, limit, settings.texels]
         self._launch(resources, 3, len(self.layout.blocks) * 64, inputs, [self.shown])
 
     def _run_plane(self, resources: Resources) -> None:
