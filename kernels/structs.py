@@ -91,7 +91,7 @@ class View:
     shared_clusters: wp.int32
     own_cluster_first: wp.int32
     own_cluster_count: wp.int32
-    spare: wp.int32
+    shutter: wp.float32  # share of the frame interval that the shutter is open
 
 
 @wp.struct

@@ -56,8 +56,8 @@ class Camera(Record):
     """Diameter of the lens opening [m]; 0 is a pinhole. Orthographic cameras have none: all they see is in focus."""
     focus_distance: float = Field(1.0, gt=0.0)
     """View depth of the plane in focus [m]."""
-    shutter: float = Field(0.0, ge=0.0)
-    """Time the shutter stays open, as a share of the frame interval."""
+    shutter: float = Field(0.0, ge=0.0, le=1.0)
+    """Time the shutter stays open, as a share of the frame interval, 0 to 1; it closes at the frame's own time."""
     bloom: float = Field(0.0, ge=0.0, le=1.0)
     """Share of light the lens scatters into a bloom."""
     name: str = ""

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from .records import Record
 
-__all__ = ["AntiAliasingSettings", "DepthOfFieldSettings"]
+__all__ = ["AntiAliasingSettings", "DepthOfFieldSettings", "MotionBlurSettings"]
 
 
 class AntiAliasingSettings(Record):
@@ -56,3 +56,30 @@ class DepthOfFieldSettings(Record):
     has the blur's radius. Of plane_lerp; a camera without an aperture stays sharp."""
     samples: Literal[16, 64, 256] = 64
     """Points of the lens. Of lens_samples; time grows with it, memory does not."""
+
+
+class MotionBlurSettings(Record):
+    """Blur of what moves, by itself or with the camera, while the shutter is open.
+
+    The shutter closes at the frame's own time and opens a share `Camera.shutter` of a frame earlier. Poses in between
+    are interpolated from those of the frame before: places along a line, rotations along the shortest arc. What is
+    declared to move is told by `explain`: transforms or poses bound as device arrays, a scene that can be animated, or
+    transforms or cameras that have changed between two frames of the renderer. Points bound to meshes are taken as
+    they are. The first frame, and the first one of another plan, has no frame before: nothing moves in it.
+
+    Error against `shutter_samples`, stated before it was measured, as the root mean square difference of x / (1 + x)
+    over a picture of motions of at most 16 pixels: `velocity_gather` at most 0.03 and less than what `off` makes.
+    """
+
+    rung: Literal["off", "velocity_gather", "shutter_samples"] = "velocity_gather"
+    """velocity_gather: gather along the longest motion nearby; shutter_samples: so many frames at times within the
+    shutter's (reference). With views of different shutters in one batch, its instances move with the longest."""
+    when: Literal["called_for", "always"] = "called_for"
+    """always: run although no shutter is open or nothing moves; changes no bit then. shutter_samples takes no samples
+    then."""
+    max_length_px: float = Field(48.0, ge=1.0, le=128.0)
+    """Longest trail [px], 1 to 128; longer ones are drawn this long. Of velocity_gather."""
+    taps: int = Field(24, ge=4, le=64)
+    """Taps along a trail, at most, 4 to 64: one a pixel while it is shorter. Of velocity_gather."""
+    samples: Literal[16, 64, 256] = 64
+    """Times within the shutter's. Of shutter_samples; time grows with it, memory does not."""

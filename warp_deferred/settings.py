@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AntiAliasingSettings, DepthOfFieldSettings
+from .effect_settings import AntiAliasingSettings, DepthOfFieldSettings, MotionBlurSettings
 from .records import Record
 
 __all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
@@ -78,6 +78,8 @@ class Settings(Record):
     """Samples a pixel."""
     depth_of_field: DepthOfFieldSettings = DepthOfFieldSettings()
     """Blur of what is out of focus."""
+    motion_blur: MotionBlurSettings = MotionBlurSettings()
+    """Blur of what moves while the shutter is open."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.

@@ -159,7 +159,7 @@ class ViewPacker:
                 buffer, v * self.size, *camera.position, offset, *camera.rotation, fx, -fy, cx, cy, camera.near,
                 camera.far, 2.0**camera.exposure, camera.aperture if camera.has_lens else 0.0, camera.focus_distance,
                 PROJECTIONS[camera.projection], self._cull, int(depth_clamp),
-                int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], 0,
+                int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], camera.shutter,
             )  # fmt: skip
 
 

@@ -67,6 +67,7 @@ class Request:
         share_memory: Let buffers whose lives do not overlap share memory.
         lens: What the cameras' lenses call for.
         passes: The user's own passes, in order; compared as they compare themselves, by identity unless they say how.
+        moving: What is declared to move, in words; empty where nothing is or no shutter is open.
         hidden: Outputs that only those passes read: made, and not shown in frames.
     """
 
@@ -84,6 +85,7 @@ class Request:
     lens: Lens = Lens()
     passes: tuple[Pass, ...] = ()
     hidden: frozenset[str] = frozenset()
+    moving: str = ""
 
     @property
     def lit(self) -> bool:

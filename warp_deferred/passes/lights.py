@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..kernels import lights as kernels
 from ..program import FIRST
 from ..resources import Resources
-from ..sampling import lens_samples
+from ..sampling import lens_samples, shutter_samples
 from ..views import ViewLayout
 from .base import Buffer, Pass, Request
 from .resolve import needs_gbuffer
@@ -24,7 +24,7 @@ class LightsPass(Pass):
     def bound(self, request: Request, layout: ViewLayout) -> Pass:
         """Run in each sample where samples move the eye."""
         stage = super().bound(request, layout)
-        if lens_samples(request) > 1:
+        if max(lens_samples(request), shutter_samples(request)) > 1:
             object.__setattr__(stage, "scope", "sample")
         return stage
 
