@@ -3,7 +3,7 @@
 A point q of a view (before the eye, world scale) was at q + D q + t before, where D and t come from both poses of its
 instance and of the view, in float64, once a pair: R1 L1 inverse(L0) transpose(R0) - 1, so what does not move has D and
 t of exactly 0 and what moves little loses nothing. A background pixel is a point infinitely far away: rotations alone.
-Points bound to meshes count as they are now. Block size 64. Bytes a pixel: 12 in, 8 out, and an instance's pair.
+Points bound to meshes count as they are now. Block size 64. Bytes a pixel: 8 in, 8 out, and an instance's pair.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from __future__ import annotations
 import warp as wp
 
 from .clusters import instance_of_rank, pair_of_instance, to_single, widen
-from .intrinsics import load_vec4i
-from .projection import pixel_in_block, pixel_index, pixel_ray
+from .intrinsics import bits_float, load_vec4i
+from .projection import linear_depth, pixel_in_block, pixel_index, pixel_ray
 from .structs import (
     ALL_BITS,
     CLUSTER_SIZE,
@@ -137,7 +137,6 @@ def motion_kernel(
     geometry: Geometry,
     # In
     keys: wp.array[wp.uint64],
-    depth: wp.array[wp.float32],
     known: wp.array[wp.int32],
     old_views: wp.array[View],
     steps: wp.array[Step],
@@ -163,7 +162,7 @@ def motion_kernel(
         if key != wp.uint64(0):
             identity = ALL_BITS - wp.uint32(key)
             index = pair_of_instance(view, geometry.id_blocks[wp.int32(identity / wp.uint32(CLUSTER_SIZE))])
-            distance = depth[i]
+            distance = linear_depth(view, bits_float(wp.uint32(key >> wp.uint64(32))))
         if key != wp.uint64(0) or view.projection != ORTHOGRAPHIC:
             px, py = wp.float32(x) + 0.5, wp.float32(y) + 0.5
             motion = motion_of(view, old_views[block[0]], steps[index], px, py, distance)

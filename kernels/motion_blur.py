@@ -129,6 +129,27 @@ def share_of_time(length: wp.float32, distance: wp.float32, longest: wp.float32)
     return share * longest / wp.max(length, STILL_PX)
 
 
+@wp.func
+def nearest_way(motion: wp.array[wp.vec2], view: View, limit: wp.float32, x: wp.int32, y: wp.int32, way: wp.vec2):
+    """Way to gather along: the pixel's own where it is of about the tile's length, or of what the tile's leads to.
+
+    A tile's one direction shows in what turns (Guertin, McGuire and Nowrouzezahrai 2014, "A Fast and Stable
+    Feature-Aware Motion Blur Filter", take both).
+    """
+    bar = 0.25 * wp.length_sq(way)
+    own = trail(motion[pixel_index(view, x, y)], view, limit)
+    if wp.length_sq(own) >= bar:
+        return own
+    for k in range(1, 4):
+        # A trail that crosses the pixel starts on the way that leads back along it.
+        tx = wp.clamp(x + wp.int32(wp.round(0.25 * wp.float32(k) * way[0])), 0, view.width - 1)
+        ty = wp.clamp(y + wp.int32(wp.round(0.25 * wp.float32(k) * way[1])), 0, view.height - 1)
+        found = trail(motion[pixel_index(view, tx, ty)], view, limit)
+        if wp.length_sq(found) >= bar:
+            return found
+    return way
+
+
 @functools.cache
 def make_motion_blur_kernel(half: bool):
     """Kernel that gathers along motions; `half`: whether the plan keeps half4 images."""
@@ -163,6 +184,8 @@ def make_motion_blur_kernel(half: bool):
         way = near[view.bin_offset + (y >> 4) * view.bins_x + (x >> 4)]
         longest = wp.length(way)
         if longest > STILL_PX:
+            way = nearest_way(motion, view, limit, x, y, way)
+            longest = wp.length(way)
             along = way * (1.0 / longest)
             own = wp.abs(wp.dot(trail(motion[i], view, limit), along))
             nearness = 1.0 / depth[i]

@@ -69,7 +69,7 @@ def build(*, shutter: float = 0.5) -> Scene:
 
 def _add_moving(scene: Scene) -> None:
     """A wheel of eight spokes, a ball, and a hammer: named, so that `animate` finds them."""
-    brass = Material(base_color=(0.95, 0.64, 0.22, 1.0), metallic=0.8, roughness=0.32, name="brass")
+    brass = Material(base_color=(0.95, 0.64, 0.22, 1.0), metallic=0.7, roughness=0.48, name="brass")
     red = Material(base_color=(0.78, 0.07, 0.05, 1.0), roughness=0.25, name="red")
     steel = Material(base_color=(0.62, 0.66, 0.72, 1.0), metallic=0.9, roughness=0.36, name="steel")
     rim = torus(0.92, 0.075, 96, 20).moved(_upright())

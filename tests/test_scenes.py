@@ -30,6 +30,7 @@ SMALL = {
     "furnace": "furnace",
     "hundred_lights": "hundred_lights",
     "lambert_plane": "lambert_plane",
+    "motion": "motion",
     "many_lights": "many_lights?lights=200&triangles=6000",
     "terrain": "terrain?triangles=5000&lights=100",
 }

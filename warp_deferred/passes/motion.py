@@ -21,8 +21,8 @@ class MotionPass(Pass):
     scope = "frame_end"
 
     def reads(self) -> tuple[str, ...]:
-        """Keys and depth of the pixel's centre."""
-        return ("keys", "depth")
+        """Keys of the pixels' centres; depth is in them."""
+        return ("keys",)
 
     def writes(self) -> dict[str, Buffer]:
         """Motion, and how each pair's image came about."""
@@ -47,7 +47,7 @@ class MotionPass(Pass):
         rows = (len(self.layout.sizes), self.request.instances_per_view + 1)
         inputs = [views, geometry, *old, self.old_transforms]
         program.launch(kernels.prepare_steps_kernel, rows, inputs, [steps], **block)
-        inputs = [views, resources.blocks, geometry, channels["keys"], channels["depth"], *old, steps, FIRST]
+        inputs = [views, resources.blocks, geometry, channels["keys"], *old, steps, FIRST]
         threads = len(self.layout.blocks) * 64
         program.launch(kernels.motion_kernel, threads, inputs, [channels["motion"]], band=64, **block)
         count = max(len(self.layout.sizes), geometry.transforms.shape[0])
@@ -55,5 +55,5 @@ class MotionPass(Pass):
         program.launch(kernels.remember_kernel, count, [views, geometry.transforms], kept, **block)
 
     def bytes_moved(self) -> int:
-        """Keys and depth in, motion out; steps out and in."""
-        return self.layout.pixels * (8 + 4 + 8) + self.request.pairs * 2 * 48
+        """Keys in, motion out; steps out and in."""
+        return self.layout.pixels * (8 + 8) + self.request.pairs * 2 * 48
