@@ -50,10 +50,12 @@ def _measure(
     from warp_deferred.settings import Settings
 
     from . import record
+    from .cases import SPINE
 
     # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
     wp.config.log_level = wp.LOG_WARNING
-    settings = Settings().with_values(list(sets or ()))
+    changes = [*(SPINE if name != "effects" else ()), *(sets or ())]
+    settings = Settings().with_values(changes)
     try:
         chosen = wp.get_device(device)
     except (ValueError, RuntimeError):
@@ -61,7 +63,7 @@ def _measure(
         raise DeviceError(f"--device: expected one of {known}, got {device!r}; check the name") from None
     started = time.perf_counter()
     _note(f"{name} on {chosen.name}")
-    head = record.header(name, chosen, quick=quick, settings=list(sets or ()))
+    head = record.header(name, chosen, quick=quick, settings=changes)
     with wp.ScopedDevice(chosen):
         result = head | run(chosen, quick=quick, settings=settings, note=_note, **more)
     _note(f"{len(result['rows'])} rows in {time.perf_counter() - started:.0f} s")

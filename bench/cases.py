@@ -20,6 +20,8 @@ __all__ = [
     "mixed", "pile", "quads", "slivers", "terrain", "terrain_scene",
 ]  # fmt: skip
 
+#: Settings of all benches but `effects`, which times the optional effects: frames that stay comparable as effects come.
+SPINE = ("ambient_visibility.rung=off",)
 #: Name -> (width, height) [px].
 RESOLUTIONS = {"720p": (1280, 720), "1080p": (1920, 1080), "4K": (3840, 2160)}
 TILE_SIZES = (8, 16, 32, 64)

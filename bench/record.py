@@ -68,13 +68,15 @@ def _driver(device: wp.Device) -> str:
 
 
 def _commit() -> str:
-    """Commit of the tree, with `-dirty` where files differ; `$WD_COMMIT` where there is no repository."""
+    """Commit of the tree, with `-dirty` where files differ; `$WD_COMMIT` names it for a copy that is no checkout."""
+    if named := os.environ.get("WD_COMMIT"):
+        return named
     try:
         name = _git("rev-parse", "--short=12", "HEAD")
         # Results change while benches run one after another; they alone make no tree dirty.
         changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!bench/results")
     except (OSError, subprocess.CalledProcessError):
-        return os.environ.get("WD_COMMIT", "unknown")
+        return "unknown"
     return f"{name}-dirty" if changed else name
 
 

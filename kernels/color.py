@@ -31,6 +31,12 @@ def srgb_thresholds() -> np.ndarray:
     return np.concatenate([[0.0], linear, [np.inf]]).astype(np.float32)
 
 
+def srgb_linear() -> np.ndarray:
+    """(256,) float32: linear value of each code, which `srgb_code` takes back to it."""
+    code = np.arange(256) / 255.0
+    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
 @wp.func
 def clamp_radiance(v: wp.vec3):
     """NaN to 0, then [0, 65504] per channel."""

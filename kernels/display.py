@@ -1,4 +1,8 @@
-"""Display: exposure, tone curve and sRGB encoding to 8 bits. One thread a pixel, block size 64; last in the frame."""
+"""Display: exposure, bloom, tone curve and sRGB encoding to 8 bits. One thread a pixel, block size 64; last.
+
+With bloom in the plan a pixel gives up the scattered share of its bright part and takes in bloom's; the pyramid is
+interpolated here, at 2 bytes a pixel, where a full-size bloom image would be 8 written and 8 read.
+"""
 
 from __future__ import annotations
 
@@ -9,26 +13,64 @@ import warp as wp
 from .color import CURVES, clamp_radiance, srgb_code, tone_curve
 from .intrinsics import load_vec4i, unpack_half3
 from .projection import pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
 #: Alpha 255 in the highest byte.
 OPAQUE = wp.constant(wp.uint32(0xFF000000))
-#: (tone curve, half radiance): what CI compiles.
-VARIANTS = [(curve, half) for curve in CURVES for half in (False, True)]
+#: Kinds of bloom: none, a pyramid whose first level has half the size, one value a pixel.
+BLOOMS = ("", "levels", "full")
+#: (tone curve, half radiance, bloom): what CI compiles.
+VARIANTS = [(curve, half, "") for curve in CURVES for half in (False, True)]
+VARIANTS += [("pbr_neutral", half, bloom) for half in (False, True) for bloom in BLOOMS[1:]]
 
 
 @functools.cache
-def make_display_kernel(curve: str, half: bool):
+def make_scatter(bloom: str):
+    """Return the function that moves scattered light: out of a pixel's exposed radiance, and in from bloom.
+
+    Args:
+        bloom: One of BLOOMS; the file with its kernels is imported only where there is one.
+    """
+    if not bloom:
+
+        @wp.func
+        def nothing(
+            v: wp.vec3, value: wp.vec3, view: View, index: wp.int32, place: wp.vec2i, i: wp.int32, source: Bloom
+        ):
+            return v
+
+        return nothing
+    from .bloom import bilinear, bright_part, exposed
+
+    @wp.func
+    def scatter(v: wp.vec3, value: wp.vec3, view: View, index: wp.int32, place: wp.vec2i, i: wp.int32, source: Bloom):
+        share = view.bloom
+        if share <= 0.0 or source.bright[0] == 0:
+            return v
+        gained = wp.vec3()
+        if wp.static(bloom == "full"):
+            gained = source.full[i]
+        else:
+            gained = bilinear(source.texels, source.levels[index * source.level_count], place[0], place[1])
+        lost = bright_part(exposed(value, view.exposure), source)
+        return clamp_radiance((v - lost * share) + gained * share)
+
+    return scatter
+
+
+@functools.cache
+def make_display_kernel(curve: str, half: bool, bloom: str):
     """Kernel that turns radiance into sRGB bytes.
 
     Args:
         curve: Name of the tone curve.
         half: Read the half4 radiance, else the float32 colour.
+        bloom: One of BLOOMS.
     """
-    tone = tone_curve(curve)
+    tone, scatter = tone_curve(curve), make_scatter(bloom)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def display_kernel(
@@ -39,6 +81,7 @@ def make_display_kernel(curve: str, half: bool):
         radiance: wp.array[wp.uint64],
         color: wp.array[wp.vec3],
         thresholds: wp.array[wp.float32],
+        scattered: Bloom,
         # Params
         first: wp.int32,
         # Out
@@ -57,7 +100,8 @@ def make_display_kernel(curve: str, half: bool):
             value = unpack_half3(radiance[i])
         else:
             value = color[i]
-        mapped = tone(clamp_radiance(value * view.exposure))
+        v = clamp_radiance(value * view.exposure)
+        mapped = tone(scatter(v, value, view, block[0], wp.vec2i(x, y), i, scattered))
         r = srgb_code(mapped[0], thresholds)
         g = srgb_code(mapped[1], thresholds)
         b = srgb_code(mapped[2], thresholds)

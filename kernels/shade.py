@@ -23,15 +23,16 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
 BOUNDS = (64, 18)
-OUTPUTS = ("color", "diffuse", "specular", "light_count")
-#: (codec, models, kinds, polynomial, emissive, outputs): what CI compiles.
+OUTPUTS = ("color", "diffuse", "specular", "light_count", "bright")
+#: (codec, models, kinds, polynomial, emissive, outputs, visible): what CI compiles.
 VARIANTS = [
-    (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count")),
-    (("compact", "oct24", True), 8, 3, False, True, ()),
-    (("compact", "oct24", True), 8, 4, False, False, ()),
-    (("compact", "oct24", False), 1, 1, False, False, ()),
-    (("compact", "oct24", False), 1, 0, False, False, ()),
-    (("full", "float32", True), 15, 7, True, True, ("color",)),
+    (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count"), True),
+    (("compact", "oct24", True), 8, 3, False, True, (), True),
+    (("compact", "oct24", True), 8, 3, False, True, ("bright",), True),
+    (("compact", "oct24", True), 8, 4, False, False, (), False),
+    (("compact", "oct24", False), 1, 1, False, False, (), False),
+    (("compact", "oct24", False), 1, 0, False, False, (), False),
+    (("full", "float32", True), 15, 7, True, True, ("color",), False),
 ]
 
 
@@ -44,11 +45,13 @@ class ShadeTarget:
     diffuse: wp.array[wp.vec3]
     specular: wp.array[wp.vec3]
     light_count: wp.array[wp.int32]
+    bright: wp.array[wp.int32]  # set to 1 where exposed radiance is above a level: bloom has work this frame
+    bright_level: wp.float32
 
 
 @functools.cache
 def make_shade_kernel(
-    codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...]
+    codec: tuple, models: int, kinds: int, polynomial: bool, emissive: bool, outputs: tuple[str, ...], visible: bool
 ):
     """Kernel that lights the G-buffer.
 
@@ -59,13 +62,16 @@ def make_shade_kernel(
         polynomial: Some light has the polynomial fall-off.
         emissive: Some material emits.
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
+        visible: Ambient light is multiplied by the ambient visibility; else nothing reads it.
     """
     decode = make_gbuffer_codec(*codec)[1]
     view_lobe, reflect = make_reflectance(models)
     towards, arrive = make_arrive(kinds, polynomial)
 
     @wp.func
-    def write(i: wp.int32, out: ShadeTarget, total: wp.vec3, diffuse: wp.vec3, specular: wp.vec3, count: wp.int32):
+    def write(
+        view: View, i: wp.int32, out: ShadeTarget, total: wp.vec3, diffuse: wp.vec3, specular: wp.vec3, count: wp.int32
+    ):
         if wp.static("color" in outputs):
             out.color[i] = store_limit(total, 3.0e38)
         else:
@@ -76,6 +82,12 @@ def make_shade_kernel(
             out.specular[i] = store_limit(specular, 3.0e38)
         if wp.static("light_count" in outputs):
             out.light_count[i] = count
+        if wp.static("bright" in outputs):
+            peak = wp.max(total[0], wp.max(total[1], total[2])) * view.exposure
+            # Every thread that stores stores 1. After the first one a read is all that bright pixels cost.
+            if peak > out.bright_level and view.bloom > 0.0:
+                if out.bright[0] == 0:
+                    out.bright[0] = 1
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=BOUNDS)
     def shade_kernel(
@@ -86,6 +98,7 @@ def make_shade_kernel(
         # In
         gbuffer: GBuffer,
         emission: wp.array[wp.vec3],
+        visibility: wp.array[wp.float32],
         lights: Lights,
         masks: LightMasks,
         # Params
@@ -104,7 +117,7 @@ def make_shade_kernel(
         depth = gbuffer.depth[i]
         zero = wp.vec3()
         if not wp.isfinite(depth):
-            write(i, out_target, values[0].background, zero, zero, 0)
+            write(view, i, out_target, values[0].background, zero, zero, 0)
             return
         s = decode(gbuffer, i)
         diffuse, specular = wp.vec3(), wp.vec3()
@@ -140,10 +153,13 @@ def make_shade_kernel(
                                 count += 1
         albedo = diffuse_albedo(s)
         diffuse = wp.cw_mul(diffuse, albedo * INVERSE_PI)
-        total = diffuse + specular + wp.cw_mul(albedo, values[0].ambient) * s.occlusion
+        ambient = wp.cw_mul(albedo, values[0].ambient) * s.occlusion
+        if wp.static(visible):
+            ambient = ambient * visibility[i]
+        total = diffuse + specular + ambient
         if wp.static(emissive):
             if (s.flags & FLAG_EMISSIVE) != 0:
                 total += emission[i]
-        write(i, out_target, total, diffuse, specular, count)
+        write(view, i, out_target, total, diffuse, specular, count)
 
     return shade_kernel

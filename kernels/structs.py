@@ -1,7 +1,7 @@
 """Structs shared by all kernels, and the constants that host and device agree on.
 
-Sizes in bytes (asserted by tests/kernels/test_structs.py): View 192, Transform 64, Instance 80, Pair 92, Cluster 48,
-LargeTriangle 48, Material 128 on the device plus its textures' handles.
+Sizes in bytes (asserted by tests/kernels/test_structs.py): View 200, Transform 64, Instance 80, Pair 92, Cluster 48,
+LargeTriangle 48, BloomLevel 24, Material 128 on the device plus its textures' handles.
 
 Only arrays whose content may change from frame to frame hold per-frame values; a captured graph freezes what is
 passed by value, so everything here that changes lives in device arrays of these structs.
@@ -92,6 +92,8 @@ class View:
     own_cluster_first: wp.int32
     own_cluster_count: wp.int32
     shutter: wp.float32  # share of the frame interval that the shutter is open
+    bloom: wp.float32  # share of light the lens scatters
+    spare: wp.int32
 
 
 @wp.struct
@@ -292,6 +294,33 @@ class FrameValues:
     light_count: wp.int32
     background: wp.vec3
     view_count: wp.int32
+
+
+@wp.struct
+class BloomLevel:
+    """One level of a view's bloom: texels 2^level pixels wide; those of the last row or column may cross the edge."""
+
+    first: wp.int32  # in the buffer of all levels
+    width: wp.int32
+    height: wp.int32
+    edge_x: wp.int32  # twice the place of the picture's right edge [texel], rounded: what lies beyond is mirrored there
+    edge_y: wp.int32
+    wider: wp.float32  # share of the wider levels in what this one hands on; 0: there are none
+
+
+@wp.struct
+class Bloom:
+    """Scattered light as display reads it, and the curve that says which part of a pixel's light is scattered."""
+
+    texels: wp.array[wp.uint64]  # half4 levels, exposed
+    full: wp.array[wp.vec3]  # one value a pixel, exposed: the reference rung
+    levels: wp.array[BloomLevel]  # [view * level_count + level - 1]
+    bright: wp.array[wp.int32]  # 0: no pixel is above the threshold, and what the other arrays hold is stale
+    level_count: wp.int32
+    threshold: wp.float32  # exposed white is 1
+    knee: wp.float32  # half the width of the soft start
+    soft: wp.float32  # 1 / (4 knee), 0 without one
+    firefly: wp.float32  # 1 / the luminance at which a pixel counts half in level 1
 
 
 @wp.struct

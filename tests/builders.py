@@ -30,7 +30,8 @@ LAYERS = (
     "material_id", "triangle_id", "light_count",
 )  # fmt: skip
 IDS = ("instance_id", "semantic_id", "material_id", "triangle_id", "alpha")
-FULL = wd.Settings().with_values(["gbuffer.rung=full"])
+#: What the float64 reference computes: exact surfaces, and ambient light that nothing blocks.
+FULL = wd.Settings().with_values(["gbuffer.rung=full", "ambient_visibility.rung=off"])
 
 
 def grid(cells: int = 1, size: float = 1.0, uv: tuple[float, float] = (0.0, 1.0), **fields: Any) -> wd.Mesh:
@@ -263,3 +264,11 @@ class Spy:
         """Fail if anything was counted."""
         seen = {"modules": self.loaded, "kernels": self.kernels, "allocations": self.allocated, "plans": self.plans}
         assert not any(seen.values()), seen
+
+
+def spied(renderer: Any, *cameras: Any) -> Any:
+    """Render a frame that must make nothing new; read it back afterwards, which on CUDA allocates on the host."""
+    with Spy() as spy:
+        frame = renderer.render(*cameras)
+    spy.assert_nothing()
+    return frame

@@ -13,7 +13,7 @@ SIZE = 48
 OUTPUTS = ("color", "diffuse", "specular", "position", "depth", "normal")
 LAMBERT = wd.Material(model="lambert", base_color=(0.5, 0.25, 0.75, 1.0))
 #: Float32 throughout: what is compared is light, not the codec's 8 bits.
-FULL = ("gbuffer.rung=full",)
+FULL = ("gbuffer.rung=full", "ambient_visibility.rung=off")
 
 
 def floor(material: wd.Material = LAMBERT) -> wd.Scene:

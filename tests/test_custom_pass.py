@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from builders import Spy, assert_same, bits, gallery, images
+from builders import assert_same, bits, gallery, images, spied
 from test_readme import blocks
 
 import warp_deferred as wd
@@ -133,9 +133,7 @@ def test_the_image_is_lit_for_a_pass_though_no_output_is(device):
 def test_a_second_frame_makes_nothing_new(device):
     renderer = renderer_of(device, passes=[Scale(2.0), Flag()])
     first = images(renderer.render())
-    with Spy() as spy:
-        second = images(renderer.render())
-    spy.assert_nothing()
+    second = images(spied(renderer))
     assert_same(first, second)
 
 

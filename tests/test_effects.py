@@ -6,7 +6,7 @@ import types
 import numpy as np
 import pytest
 import warp as wp
-from builders import Spy, assert_same, gallery, images
+from builders import assert_same, gallery, images, spied
 from test_custom_pass import Scale
 
 import warp_deferred as wd
@@ -18,7 +18,7 @@ from warp_deferred.program import END, SAMPLE, START, Program
 
 
 def renderer_of(device="cpu", outputs=("color", "display"), scene=None, rung="off", **fields):
-    settings = wd.Settings().with_values([f"anti_aliasing.rung={rung}"])
+    settings = wd.Settings().with_values([f"anti_aliasing.rung={rung}", "ambient_visibility.rung=off"])
     scene = scene or gallery()
     return wd.Renderer(scene, width=64, height=48, device=device, outputs=outputs, settings=settings, **fields)
 
@@ -49,7 +49,9 @@ def glow(monkeypatch):
         loads.append(name)
         return module
 
-    monkeypatch.setattr(effects, "EFFECTS", (*effects.EFFECTS, Effect("glow", "shade", glow_rule)))
+    # Bloom asks for the same lens.
+    others = [effect for effect in effects.EFFECTS if effect.name != "bloom"]
+    monkeypatch.setattr(effects, "EFFECTS", (*others, Effect("glow", "shade", glow_rule)))
     monkeypatch.setattr(effects.importlib, "import_module", importer)
     return loads
 
@@ -65,10 +67,8 @@ def test_an_effect_is_imported_once_it_is_called_for(glow, device):
     assert glow == [".passes.glow"] and row.runs and row.reason == "lens has bloom"
     assert np.array_equal(bright["color"], 2.0 * before["color"])
     # One camera of a batch is enough, and both plans are kept.
-    with Spy() as spy:
-        assert_same(images(plain.render()), before)
-        assert_same(images(plain.render(scene.camera.replace(bloom=0.5))), bright)
-    spy.assert_nothing()
+    assert_same(images(spied(plain)), before)
+    assert_same(images(spied(plain, scene.camera.replace(bloom=0.5))), bright)
     batch = images(plain.render([scene.camera, scene.camera.replace(bloom=0.1)]))
     assert np.array_equal(batch["color"], bright["color"])
 
@@ -126,12 +126,10 @@ def test_a_pass_is_skipped_while_its_condition_is_zero(device, image, rung):
     scaled = images(renderer_of(device, rung=rung, passes=[Scale(3.0)]).render())
     renderer = renderer_of(device, rung=rung, passes=[Switched(switch, image=image)])
     assert_same(images(renderer.render()), plain)
-    with Spy() as spy:
-        switch.fill_(1)
-        assert_same(images(renderer.render()), scaled)
-        switch.fill_(0)
-        assert_same(images(renderer.render()), plain)
-    spy.assert_nothing()
+    switch.fill_(1)
+    assert_same(images(spied(renderer)), scaled)
+    switch.fill_(0)
+    assert_same(images(spied(renderer)), plain)
     renderer.plan.resources.program.run()
     assert_same(plain, {name: array.numpy()[0] for name, array in renderer.plan.shown.items()})
 
@@ -176,7 +174,7 @@ def test_explain_tells_both_reasons_and_what_was_active(device):
         row = {r.name: r for r in told.rows}["switched"]
         assert row.reason == "handed in with passes=; active if somebody flipped the switch"
         assert row.active is bool(value) and row.runs
-        assert re.search(rf"^switched +{word} ", str(told), re.MULTILINE)
+        assert re.search(rf"switched +{word}", str(told))
     assert {r.name: r for r in told.rows}["shade"].active is None
     assert {r.name: r for r in renderer.explain(measure=False).rows}["switched"].active is None
 

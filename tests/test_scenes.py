@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from warp_deferred.scenes import (
     _hall,
+    corner,
     furnace,
+    glow,
     hundred_lights,
     lambert_plane,
     many_lights,
@@ -26,8 +28,10 @@ from warp_deferred.settings import GBufferSettings, Settings, ShadeSettings
 FULL = Settings(gbuffer=GBufferSettings(rung="full"), shade=ShadeSettings(radiance="float32"))
 #: Small forms of every scene, by name.
 SMALL = {
+    "corner": "corner",
     "focus": "focus",
     "furnace": "furnace",
+    "glow": "glow",
     "hundred_lights": "hundred_lights",
     "lambert_plane": "lambert_plane",
     "motion": "motion",
@@ -219,6 +223,7 @@ def test_animating_a_foreign_scene_says_whose_it_must_be():
         ("furnace?segments=2", "furnace.segments"),
         ("lambert_plane?height=0", "lambert_plane.height"),
         ("lambert_plane?tilt_deg=80", "see the sky"),
+        ("glow?bloom=2", "glow.bloom"),
         ("hundred_lights?brightness=-2", "hundred_lights.brightness"),
         ("hundred_lights?sede=2", "did you mean 'seed'"),
     ],
@@ -352,3 +357,17 @@ def test_the_hall_is_closed_to_the_camera_and_well_lit():
 def test_no_column_stands_in_the_eye():
     eye = np.array(hundred_lights.build().camera.position)
     assert np.linalg.norm((_hall.column_places() - eye)[:, [0, 2]], axis=1).min() > 1.0
+
+
+def test_every_emitter_of_the_glow_is_above_white_and_lights_its_surroundings():
+    scene = glow.build()
+    emitting = [i for i in scene.instances if max(i.material.emissive) > 0.0]
+    assert len(emitting) > 70 and all(max(i.material.emissive) > 2.0 for i in emitting)
+    assert scene.camera.bloom == 0.3 and glow.build(bloom=0.0).camera.bloom == 0.0
+    lights = scene.lights.point.position
+    for item in emitting:
+        if item.mesh.name in ("tube", "ember"):
+            place = item.transform[:3, 3]
+            assert np.linalg.norm(lights - place, axis=1).min() < 0.6
+    dark = glow.build(brightness=0.0)
+    assert not any(max(i.material.emissive) for i in dark.instances) and not dark.lights.point.intensity.any()

@@ -59,7 +59,7 @@ class Camera(Record):
     shutter: float = Field(0.0, ge=0.0, le=1.0)
     """Time the shutter stays open, as a share of the frame interval, 0 to 1; it closes at the frame's own time."""
     bloom: float = Field(0.0, ge=0.0, le=1.0)
-    """Share of light the lens scatters into a bloom."""
+    """Share of light the lens scatters into a bloom [1]; with a threshold in force, of the light above it."""
     name: str = ""
     """Name, as in the file it came from."""
 

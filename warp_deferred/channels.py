@@ -50,7 +50,7 @@ def _layer(name: str, suffixes: str) -> tuple[str, ...]:
 _INF = float("inf")
 _RADIANCE = "W/(m^2 sr), photometric: cd/m^2"
 _TABLE = (
-    Channel("color", "vec3", "linear Rec. 709", _RADIANCE, 0.0, ("R", "G", "B"), "Radiance before exposure."),
+    Channel("color", "vec3", "linear Rec. 709", _RADIANCE, 0.0, ("R", "G", "B"), "Radiance before exposure and bloom."),
     Channel("display", "vec4ub", "sRGB, 8 bits", "1", 0.0, (), "Exposed, tone mapped, encoded picture; R G B A."),
     Channel(
         "diffuse", "vec3", "linear Rec. 709", _RADIANCE, 0.0, _layer("diffuse", "RGB"), "Outgoing diffuse radiance."
@@ -71,6 +71,15 @@ _TABLE = (
         0.0,
         _layer("motion", "XY"),
         "Position less that of the frame before, y down; on the background, of what is infinitely far.",
+    ),
+    Channel(
+        "ambient_visibility",
+        "float32",
+        "share",
+        "1",
+        1.0,
+        ("ambient_visibility.V",),
+        "Share of ambient light that reaches the surface; 1 on the background.",
     ),
     Channel("instance_id", "int32", "index", "1", -1.0, ("instance_id",), "Index of the instance; -1: background."),
     Channel("semantic_id", "int32", "label", "1", -1.0, ("semantic_id",), "Label of the instance; -1: background."),

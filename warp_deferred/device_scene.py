@@ -64,6 +64,7 @@ class DeviceScene:
         cluster_range: id of a mesh -> its first cluster, clusters.
         triangle_count: Triangles over all instances.
         cluster_slots: (instance, cluster) pairs.
+        placed: (n, 4) int64: slot, first row of Geometry.triangles, triangles and world of each instance.
         bytes: Device memory held.
     """
 
@@ -195,6 +196,7 @@ class DeviceScene:
         bases = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         table = np.zeros(len(instances), np.dtype(structs.Instance.numpy_dtype()))
         blocks = np.zeros(int(bases[-1]), np.int32)
+        self.placed = np.zeros((len(instances), 4), np.int64)
         slots: list[np.ndarray] = []
         starts: dict[int, tuple[int, int]] = {}
         slot_count = 0
@@ -218,12 +220,14 @@ class DeviceScene:
                 + int(structs.FLAG_SMOOTH) * (normals is not None)
                 + int(structs.FLAG_COLORS) * (mesh.colors is not None)
             )
+            self.placed[place] = place, row["triangle_first"], len(mesh.triangles), instance.world
             blocks[bases[k] : bases[k + 1]] = place
             starts.setdefault(instance.world, (place, slot_count))
             pairs = np.empty((len(cut.first), 2), np.int32)
             pairs[:, 0], pairs[:, 1] = place, self.cluster_range[id(mesh)][0] + np.arange(len(cut.first))
             slots.append(pairs)
             slot_count += len(pairs)
+        self._boxes = np.stack([table["bounds_low"], table["bounds_high"]], axis=1).astype(np.float64)
         self.instance_count = len(instances)
         self.cluster_slots = slot_count
         self.triangle_count = sum(len(i.mesh.triangles) for i in instances)
@@ -253,6 +257,17 @@ class DeviceScene:
             return (self.instance_count, 0, 0, self.cluster_slots, 0, 0)
         first, count, slot, slots = self._world_ranges.get(world, (0, 0, 0, 0))
         return (shared, first, count, shared_slots, slot, slots)
+
+    def box(self) -> tuple[np.ndarray, np.ndarray]:
+        """Box around all instances [m], as the host's transforms placed them last: (low, high), zeros for none."""
+        if not self.instance_count:
+            return np.zeros(3), np.zeros(3)
+        table = self._transform_table[: self.instance_count]
+        middle, half = self._boxes.mean(axis=1), np.ptp(self._boxes, axis=1) / 2.0
+        linear = table["linear"].reshape(-1, 3, 3).astype(np.float64)
+        middle = np.einsum("nij,nj->ni", linear, middle) + table["origin"]
+        half = np.einsum("nij,nj->ni", np.abs(linear), half)
+        return (middle - half).min(axis=0), (middle + half).max(axis=0)
 
     def update_transforms(self, scene: Scene) -> None:
         """Upload the host's transforms, mesh origins folded in; float64 origins, float32 linear parts."""

@@ -37,6 +37,7 @@ class Effect:
         rule: Decides by a request.
         module: File below passes/ it is in, where that is not its name; its settings, if any, bear its name.
         quiet: Part of another effect, so `explain` need not say why it does not run.
+        before: Name of the pass it comes right before, behind the user's own; `after` then says nothing.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Effect:
     rule: Callable[[Request], Verdict]
     module: str = ""
     quiet: bool = False
+    before: str = ""
 
     def load(self) -> type[Pass]:
         """Import the pass."""
@@ -66,6 +68,15 @@ def _sampled(request: Request) -> Verdict:
     rungs += ["depth_of_field.rung=lens_samples"] * (lens_samples(request) > 1)
     rungs += ["motion_blur.rung=shutter_samples"] * (shutter_samples(request) > 1)
     return Verdict(bool(rungs), ", ".join(rungs) or "no rung takes several samples a pixel")
+
+
+def _ambient_visibility(request: Request) -> Verdict:
+    if "ambient_visibility" in request.outputs:
+        return Verdict(True, "ambient_visibility asked for")
+    # Ambient light is part of the image, not of the outputs `diffuse` and `specular`.
+    if not any(name in request.outputs for name in ("color", "display")) and not any(p.image for p in request.passes):
+        return Verdict(False, "no output asked for shows ambient light")
+    return Verdict(request.features.ambient, f"ambient light is {'not ' * request.features.ambient}zero")
 
 
 def _points(request: Request) -> Verdict:
@@ -110,9 +121,23 @@ def _shutter_samples(request: Request) -> Verdict:
     return Verdict(runs, f"motion_blur.rung is shutter_samples, a camera has an open shutter, and {request.moving}")
 
 
+def _bloom(request: Request) -> Verdict:
+    if "display" not in request.outputs:
+        return Verdict(False, "display was not asked for")
+    return Verdict(request.lens.bloom, f"{'a' if request.lens.bloom else 'no'} camera's lens has bloom")
+
+
+def _smoothed(request: Request) -> Verdict:
+    rung = request.settings.anti_aliasing.rung
+    if rung == "fxaa" and "display" not in request.outputs:
+        return Verdict(False, "no output asked for is a picture")
+    return Verdict(rung == "fxaa", f"anti_aliasing.rung={rung}")
+
+
 #: Every optional effect, in frame order.
 EFFECTS: tuple[Effect, ...] = (
     Effect("points", "", _points, quiet=True),
+    Effect("ambient_visibility", "resolve", _ambient_visibility),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
     Effect("shutter_samples", "begin_sample", _shutter_samples, "motion_blur", quiet=True),
@@ -122,6 +147,8 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("motion", "average", _motion),
     Effect("depth_of_field", "average", _depth_of_field),
     Effect("motion_blur", "average", _motion_blur),
+    Effect("bloom", "", _bloom, before="display"),
+    Effect("anti_aliasing", "display", _smoothed),
 )
 
 

@@ -17,13 +17,14 @@ __all__ = ["FrameBlock", "Resources"]
 
 
 class FrameBlock:
-    """Everything the host changes every frame, in one block and one copy: views, then frame values.
+    """Everything the host changes every frame, in one block and one copy: views, then frame values, then a flag.
 
     The pinned copies form a ring, so that the host can write the next frame while the device still reads the last.
 
     Attributes:
         uploaded: The views as the host or `poses` gave them.
         values: Frame values.
+        bright: One int32 that kernels set once bloom has work; the copy itself sets it back to 0.
         sampling: Whether the pass that is being built runs once a sample; then `views` are those of the sample.
     """
 
@@ -33,13 +34,15 @@ class FrameBlock:
         view_size = np.dtype(structs.View.numpy_dtype()).itemsize
         value_size = np.dtype(structs.FrameValues.numpy_dtype()).itemsize
         self.values_offset = views * view_size
-        self.size = self.values_offset + value_size
+        flag_offset = self.values_offset + value_size
+        self.size = flag_offset + 4
         self.device = device
         self._block = wp.zeros(self.size, dtype=wp.uint8, device=device)
         self.uploaded = wp.array(ptr=self._block.ptr, dtype=structs.View, shape=(views,), device=device, copy=False)
         self.values = wp.array(
             ptr=self._block.ptr + self.values_offset, dtype=structs.FrameValues, shape=(1,), device=device, copy=False
         )
+        self.bright = wp.array(ptr=self._block.ptr + flag_offset, dtype=wp.int32, shape=(1,), device=device, copy=False)
         self._moved: wp.array | None = None
         self.sampling = False
         pinned = device.is_cuda

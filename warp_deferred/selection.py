@@ -86,7 +86,12 @@ def _frame(request: Request, layout: ViewLayout, core: Sequence[type[Pass]]) -> 
     for effect in effects.EFFECTS:
         verdict = effect.verdict(request)
         stage = effect.load()().bound(request, layout) if verdict.runs else None
-        _insert(entries, _Entry(effect.name, verdict.reason, stage, effect.after, quiet=effect.quiet))
+        entry = _Entry(effect.name, verdict.reason, stage, effect.after, quiet=effect.quiet)
+        if effect.before:
+            place = next((k for k, e in enumerate(entries) if e.name == effect.before), len(entries))
+            entries.insert(place, dataclasses.replace(entry, after=None))
+        else:
+            _insert(entries, entry)
     for given in request.passes:
         entry = _entry(given.bound(request, layout))
         _insert(entries, dataclasses.replace(entry, after=given.after, asked=True))

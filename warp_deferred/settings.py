@@ -6,10 +6,19 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from .effect_settings import AntiAliasingSettings, DepthOfFieldSettings, MotionBlurSettings
+from .effect_settings import (
+    AmbientVisibilitySettings,
+    AntiAliasingSettings,
+    BloomSettings,
+    DepthOfFieldSettings,
+    MotionBlurSettings,
+)
 from .records import Record
 
-__all__ = ["DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings", "Settings", "ShadeSettings"]
+__all__ = [
+    "AmbientVisibilitySettings", "DisplaySettings", "GBufferSettings", "LightCullingSettings", "RasterSettings",
+    "Settings", "ShadeSettings",
+]  # fmt: skip
 
 
 class RasterSettings(Record):
@@ -72,6 +81,10 @@ class Settings(Record):
     """Tiles and light masks."""
     shade: ShadeSettings = ShadeSettings()
     """Lighting."""
+    ambient_visibility: AmbientVisibilitySettings = AmbientVisibilitySettings()
+    """How much of the ambient light each surface point sees."""
+    bloom: BloomSettings = BloomSettings()
+    """Light the lens scatters."""
     display: DisplaySettings = DisplaySettings()
     """Tone mapping."""
     anti_aliasing: AntiAliasingSettings = AntiAliasingSettings()

@@ -17,7 +17,7 @@ from .checks import check_count
 from .errors import CapacityError
 from .kernels import structs
 
-__all__ = ["MAX_SIZE", "ViewLayout", "ViewPacker", "ViewSize"]
+__all__ = ["MAX_SIZE", "ViewLayout", "ViewPacker", "ViewSize", "block_grid"]
 
 MAX_SIZE = 16384
 MAX_PIXELS = 2**31 - 1
@@ -86,13 +86,13 @@ class ViewLayout:
                     bins_x,
                 )
             )
-            tables["bins"].append(_grid(v, s, 16))
+            tables["bins"].append(block_grid(v, s, 16))
             if light:
-                tables["blocks"].append(_grid(v, s, 8))
-                tiles = _grid(v, s, tile_size)
+                tables["blocks"].append(block_grid(v, s, 8))
+                tiles = block_grid(v, s, tile_size)
                 tiles[:, 3] = counts["coarse"] + (tiles[:, 2] // coarse) * coarse_x + tiles[:, 1] // coarse
                 tables["tiles"].append(tiles)
-                tables["coarse"].append(_grid(v, s, coarse))
+                tables["coarse"].append(block_grid(v, s, coarse))
             offsets[s.depth_only] += s.width * s.height
             for name in counts:
                 counts[name] = sum(len(t) for t in tables[name])
@@ -110,7 +110,8 @@ def _cells(length: int, size: int) -> int:
     return -(-length // size)
 
 
-def _grid(view: int, s: ViewSize, size: int) -> np.ndarray:
+def block_grid(view: int, s: ViewSize, size: int) -> np.ndarray:
+    """(b, 4) int32: view, x, y, 0 of each square of `size` pixels of a view, row by row."""
     y, x = np.mgrid[0 : _cells(s.height, size), 0 : _cells(s.width, size)].astype(np.int32)
     table = np.zeros((x.size, 4), np.int32)
     table[:, 0], table[:, 1], table[:, 2] = view, x.reshape(-1) * size, y.reshape(-1) * size
@@ -158,8 +159,8 @@ class ViewPacker:
             self._pack(
                 buffer, v * self.size, *camera.position, offset, *camera.rotation, fx, -fy, cx, cy, camera.near,
                 camera.far, 2.0**camera.exposure, camera.aperture if camera.has_lens else 0.0, camera.focus_distance,
-                PROJECTIONS[camera.projection], self._cull, int(depth_clamp),
-                int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], camera.shutter,
+                PROJECTIONS[camera.projection], self._cull, int(depth_clamp), int(size.depth_only), camera.world, pitch,
+                size.width, size.height, *tables, *ranges[v], camera.shutter, camera.bloom, 0,
             )  # fmt: skip
 
 

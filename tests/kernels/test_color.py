@@ -14,6 +14,7 @@ from warp_deferred.kernels.color import (
     curve_pbr_neutral,
     curve_reinhard,
     srgb_code,
+    srgb_linear,
     srgb_thresholds,
 )
 
@@ -129,4 +130,5 @@ def test_o4_bad_values_have_a_code(device):
 
 def test_p12_codes_come_back(device):
     linear = reference.srgb_decode(np.arange(256) / 255.0)
+    assert np.array_equal(srgb_linear(), linear.astype(np.float32))
     assert np.array_equal(codes(linear, device), np.arange(256))

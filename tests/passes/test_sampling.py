@@ -194,7 +194,7 @@ def test_one_sample_is_one_part_and_leaves_nothing_behind(device):
     plan = renderer.plan
     assert plan.replays == 1 and len(plan.resources.program.parts) == 1
     assert plan.resources.frame.views is plan.resources.frame.uploaded
-    core = ["clusters", "raster", "resolve", "lights", "light_culling", "shade", "display"]
+    core = ["clusters", "raster", "resolve", "ambient_visibility", "lights", "light_culling", "shade", "display"]
     assert [stage.name for stage in plan.passes] == core
 
 

@@ -5,6 +5,7 @@ layers; `coverage_count` and `polygon_coverage` decide coverage in exact integer
 the other functions are twins of the kernels' small functions.
 """
 
+from .bloom import bloom_axes, bloom_bilinear, bloom_bright, bloom_chain, bloom_gaussians, bloom_window
 from .brdf import MIN_ROUGHNESS, brdf_blinn_phong, brdf_ggx, brdf_lambert, brdf_phong, dot, unit
 from .closed_forms import (
     angle_weighted_normals,
@@ -54,6 +55,12 @@ __all__ = [
     "angle_weighted_normals",
     "attenuation",
     "barycentrics",
+    "bloom_axes",
+    "bloom_bilinear",
+    "bloom_bright",
+    "bloom_chain",
+    "bloom_gaussians",
+    "bloom_window",
     "brdf_blinn_phong",
     "brdf_ggx",
     "brdf_lambert",

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import warp as wp
 
+from ..effects import called_for
 from ..kernels import color as color_kernels
 from ..kernels import display as kernels
+from ..kernels import structs
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass
 from .image import float_image, image_bytes, make_image
 
-__all__ = ["DisplayPass"]
+__all__ = ["ALIASED", "DisplayPass"]
+
+#: Channel of the picture where a later pass makes the public one of it.
+ALIASED = "display_aliased"
 
 
 class DisplayPass(Pass):
@@ -30,28 +35,49 @@ class DisplayPass(Pass):
         """Tone curve."""
         return self.request.settings.display.tone_mapping
 
+    @property
+    def blooms(self) -> bool:
+        """Whether bloom is in the plan."""
+        return called_for(self.request, "bloom")
+
+    @property
+    def written(self) -> str:
+        """Name of the channel it writes."""
+        return ALIASED if called_for(self.request, "anti_aliasing") else "display"
+
+    def reads(self) -> tuple[str, ...]:
+        """Bloom where there is some."""
+        return ("bloom",) * self.blooms
+
     def writes(self) -> dict[str, Buffer]:
         """Encoded bytes."""
-        return {"display": Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
+        return {self.written: Buffer(wp.uint32, max(self.layout.pixels, 1), public=wp.vec4ub)}
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernel, upload the thresholds."""
-        self.kernel = kernels.make_display_kernel(self.rung(), not float_image(self.request))
+        self.bloom, kind = structs.Bloom(), ""
+        if self.blooms:
+            from .bloom import make_bloom
+
+            self.bloom = make_bloom(resources, self.request, self.layout)
+            kind = "full" if self.request.settings.bloom.rung == "exact" else "levels"
+        self.kernel = kernels.make_display_kernel(self.rung(), not float_image(self.request), kind)
         self.thresholds = wp.array(color_kernels.srgb_thresholds(), dtype=wp.float32, device=resources.device)
 
     def run(self, resources: Resources) -> None:
         """One launch."""
         image = make_image(resources, self.request, self.source)
-        inputs = [resources.frame.views, resources.blocks, image.half, image.full, self.thresholds, FIRST]
+        inputs = [resources.frame.views, resources.blocks, image.half, image.full, self.thresholds, self.bloom, FIRST]
         resources.program.launch(
             self.kernel,
             len(self.layout.blocks) * 64,
             inputs,
-            [resources.channels["display"]],
+            [resources.channels[self.written]],
             block_dim=kernels.BLOCK_DIM,
             band=64,
         )
 
     def bytes_moved(self) -> int:
-        """Radiance in, bytes out."""
-        return self.layout.pixels * (image_bytes(self.request) + 4)
+        """Radiance and bloom in, bytes out."""
+        bloom = (12 if self.request.settings.bloom.rung == "exact" else 2) if self.blooms else 0
+        return self.layout.pixels * (image_bytes(self.request) + bloom + 4)

@@ -22,7 +22,6 @@ from ..program import FIRST
 from ..resources import Resources
 from ..views import ViewLayout
 from .base import Buffer, Pass, Request
-from .resolve import needs_gbuffer
 
 __all__ = ["Band", "LightCullingPass", "culls_by_band", "fill_masks", "make_masks", "mask_bands", "mask_words"]
 
@@ -159,7 +158,7 @@ class LightCullingPass(Pass):
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""
-        if self.request.features.kinds and needs_gbuffer(self.request):
+        if self.request.features.kinds and self.request.lit:
             return "the scene has lights"
         return None
 

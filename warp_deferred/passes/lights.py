@@ -8,7 +8,6 @@ from ..resources import Resources
 from ..sampling import lens_samples, shutter_samples
 from ..views import ViewLayout
 from .base import Buffer, Pass, Request
-from .resolve import needs_gbuffer
 
 __all__ = ["LightsPass"]
 
@@ -30,7 +29,7 @@ class LightsPass(Pass):
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""
-        if self.request.features.kinds and needs_gbuffer(self.request):
+        if self.request.features.kinds and self.request.lit:
             infinite = self.request.features.infinite_lights
             return "the scene has lights" + (f" ({infinite} without a range, in every tile)" if infinite else "")
         return None

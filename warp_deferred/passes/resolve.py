@@ -24,8 +24,8 @@ GBUFFER_FIELDS = {
 
 
 def needs_gbuffer(request: Request) -> bool:
-    """Whether something lit is wanted."""
-    return request.lit
+    """Whether some pass reads the G-buffer: lighting, or what looks at surfaces by itself."""
+    return request.lit or "ambient_visibility" in request.outputs
 
 
 def gbuffer_codec(request: Request) -> tuple[str, str, bool]:
@@ -74,8 +74,10 @@ class ResolvePass(Pass):
 
     def called_for(self) -> str | None:
         """Some output shows a surface."""
-        if needs_gbuffer(self.request):
+        if self.request.lit:
             return "an output is lit"
+        if needs_gbuffer(self.request):
+            return "ambient visibility looks at surfaces"
         names = [n for n in (*LAYER_NAMES, "depth") if n in self.request.outputs]
         return f"{', '.join(names)} asked for" if names else None
 

@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from ..effects import called_for
 from ..kernels import shade as kernels
 from ..kernels.light_culling import make_light_culling_kernels
 from ..program import FIRST
@@ -13,7 +14,7 @@ from ..resources import Resources
 from .base import LIT_OUTPUTS, Buffer, Pass
 from .image import all_writes, float_image, make_image
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
-from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer, needs_gbuffer
+from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
 
 __all__ = ["ShadePass"]
 
@@ -55,6 +56,8 @@ class ShadePass(Pass):
             names.append("emission")
         if self.request.features.kinds:
             names += ["mask_words", "mask_summary", "staged_lights"]
+        if called_for(self.request, "ambient_visibility"):
+            names.append("ambient_visibility")
         if self.culls:
             names += ["mask_coarse", "mask_bounds", "mask_coarse_bounds"]
         return tuple(names)
@@ -63,11 +66,22 @@ class ShadePass(Pass):
         """The parts asked for."""
         return {n: Buffer(t, max(self.layout.pixels, 1)) for n, t in TYPES.items() if n in self.request.outputs}
 
+    def _bright_level(self) -> float | None:
+        """Exposed radiance above which the pass tells bloom that it has work; None where nobody listens."""
+        if not called_for(self.request, "bloom"):
+            return None
+        from .bloom import bright_level
+
+        return bright_level(self.request)
+
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernels, build the structs."""
         features = self.request.features
         full = float_image(self.request)
         outputs = ("color",) * full + tuple(n for n in TYPES if n in self.request.outputs)
+        level = self._bright_level()
+        if level is not None:
+            outputs += ("bright",)
         self.kernel = kernels.make_shade_kernel(
             gbuffer_codec(self.request),
             features.models,
@@ -75,6 +89,7 @@ class ShadePass(Pass):
             features.polynomial,
             features.emissive,
             outputs,
+            "ambient_visibility" in self.reads(),
         )
         self.gbuffer = make_gbuffer(resources)
         if self.culls:
@@ -86,11 +101,13 @@ class ShadePass(Pass):
             setattr(self.out, name, resources.channel(name, dtype))
         image = make_image(resources, self.request, self.target)
         self.out.color, self.out.radiance = image.full, image.half
+        self.out.bright, self.out.bright_level = resources.frame.bright, level or 0.0
 
     def run(self, resources: Resources) -> None:
         """One launch a band, after those that fill its masks where there are several."""
         frame = resources.frame
         emission = resources.channel("emission", wp.vec3)
+        visibility = resources.channel("ambient_visibility", wp.float32)
         for band, masks in zip(self.bands, self.masks, strict=True):
             if self.culls:
                 fill_masks(resources, self.request, self.culling, masks, band)
@@ -99,7 +116,7 @@ class ShadePass(Pass):
             resources.program.launch(
                 self.kernel,
                 (band.blocks.stop - band.blocks.start) * 64,
-                [frame.views, frame.values, blocks, self.gbuffer, emission, lights, masks, FIRST],
+                [frame.views, frame.values, blocks, self.gbuffer, emission, visibility, lights, masks, FIRST],
                 [self.out],
                 block_dim=kernels.BLOCK_DIM,
                 band=64,
@@ -110,6 +127,7 @@ class ShadePass(Pass):
         read = 4 + sum(
             wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
         )
+        read += 4 * ("ambient_visibility" in self.reads())
         written = sum(wp.types.type_size_in_bytes(b.dtype) for b in all_writes(self).values())
         masks = len(self.layout.tiles) * mask_words(self.request)[0] * 4 if self.culls else 0
-        return self.layout.pixels * (read + written) + masks if needs_gbuffer(self.request) else 0
+        return self.layout.pixels * (read + written) + masks

@@ -1,0 +1,146 @@
+"""Ambient visibility by rays (ray_traced): the reference rung, in the picture's pixels but against all triangles.
+
+Rays follow one cosine-weighted low-discrepancy set (Hammersley points, mapped by r = sqrt(u), Malley's method: Pharr,
+Jakob and Humphreys 2023, "Physically Based Rendering", 13.6.3) that each pixel turns about its normal by an angle of
+its own, and end at the radius. The mean over rays is the share of ambient light that arrives. Block size 64, one thread
+a pixel; deterministic on one device. CPU and CUDA differ where a ray grazes an edge: by 1 / rays a pixel.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import warp as wp
+
+from .bilateral import final_visibility
+from .encoding import make_gbuffer_codec
+from .intrinsics import load_vec4, load_vec4i
+from .projection import pixel_in_block, pixel_index, relative_position
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, GBuffer, View
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BLOCK_DIM = 64
+#: Rounding of a position rebuilt from depth, as a share of its distance from the eye.
+POSITION_ERROR = wp.constant(4.0e-6)
+#: 2 pi / 2^32: from the bits of a hash to an angle.
+TURN = wp.constant(1.4629180792671596e-09)
+#: Multipliers and increment of the hash.
+HASH_ROW = wp.constant(wp.uint32(16411))
+HASH_SCALE = wp.constant(wp.uint32(747796405))
+HASH_SHIFT = wp.constant(wp.uint32(2891336453))
+HASH_WORD = wp.constant(wp.uint32(277803737))
+#: (codec, grouped): what CI compiles.
+VARIANTS = [(("compact", "oct24", True), False), (("full", "float32", True), True)]
+
+
+def cosine_directions(count: int) -> np.ndarray:
+    """Unit vectors around +z, cosine-weighted and of low discrepancy; (count, 4) float32, fourth component 0."""
+    k = np.arange(count, dtype=np.uint64)
+    inverse, base = np.zeros(count), 0.5
+    while k.any():
+        inverse += base * (k & np.uint64(1)).astype(float)
+        k, base = k >> np.uint64(1), base * 0.5
+    radius2 = (np.arange(count) + 0.5) / count
+    angle = 2.0 * np.pi * inverse
+    out = np.zeros((count, 4))
+    out[:, 0], out[:, 1] = np.sqrt(radius2) * np.cos(angle), np.sqrt(radius2) * np.sin(angle)
+    out[:, 2] = np.sqrt(1.0 - radius2)
+    return out.astype(np.float32)
+
+
+@wp.func
+def pixel_hash(x: wp.int32, y: wp.int32):
+    """32 bits that look random, of a pixel (Jarzynski and Olano 2020, "Hash Functions for GPU Rendering", pcg)."""
+    state = (wp.uint32(x) + wp.uint32(y) * HASH_ROW) * HASH_SCALE + HASH_SHIFT
+    word = ((state >> ((state >> wp.uint32(28)) + wp.uint32(4))) ^ state) * HASH_WORD
+    return (word >> wp.uint32(22)) ^ word
+
+
+@wp.func
+def tangent_of(n: wp.vec3):
+    """Unit vector across a unit normal (Duff et al. 2017, "Building an Orthonormal Basis, Revisited")."""
+    sign = wp.where(n[2] >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + n[2])
+    return wp.vec3(1.0 + sign * n[0] * n[0] * a, sign * n[0] * n[1] * a, -sign * n[0])
+
+
+@functools.cache
+def make_ambient_visibility_traced_kernel(codec: tuple, grouped: bool):
+    """Kernel that traces rays from every pixel's surface.
+
+    Args:
+        codec: Arguments of `make_gbuffer_codec`.
+        grouped: Instances stand in worlds: a view that sees one world meets that group and the shared one.
+    """
+    decode = make_gbuffer_codec(*codec)[1]
+
+    @wp.func
+    def group_blocks(mesh: wp.uint64, world: wp.int32, start: wp.vec3, direction: wp.vec3, reach: wp.float32):
+        root = wp.mesh_get_group_root(mesh, world + 1)
+        # No such group: -1, which a query would take for everything.
+        if root < 0:
+            return wp.bool(False)
+        return wp.mesh_query_ray_anyhit(mesh, start, direction, reach, root)
+
+    @wp.func
+    def blocked(mesh: wp.uint64, world: wp.int32, start: wp.vec3, direction: wp.vec3, reach: wp.float32):
+        if wp.static(grouped):
+            if world >= 0:
+                if group_blocks(mesh, -1, start, direction, reach):
+                    return wp.bool(True)
+                return group_blocks(mesh, world, start, direction, reach)
+        return wp.mesh_query_ray_anyhit(mesh, start, direction, reach)
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
+    def ambient_visibility_traced_kernel(
+        # Frame
+        views: wp.array[View],
+        blocks: wp.array[wp.vec4i],
+        # Scene
+        mesh: wp.uint64,
+        anchor: wp.vec3d,
+        # In
+        gbuffer: GBuffer,
+        directions: wp.array[wp.vec4],
+        # Params
+        radius: wp.float32,
+        bias: wp.float32,
+        power: wp.float32,
+        first: wp.int32,
+        # Out
+        out_visibility: wp.array[wp.float32],
+    ):
+        thread = wp.tid() + first
+        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+        view = views[block[0]]
+        place = pixel_in_block(thread)
+        x, y = block[1] + place[0], block[2] + place[1]
+        if x >= view.width or y >= view.height:
+            return
+        i = pixel_index(view, x, y)
+        depth = gbuffer.depth[i]
+        n = decode(gbuffer, i).normal
+        point = relative_position(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
+        eye = view.origin - anchor
+        start = point + wp.vec3(wp.float32(eye[0]), wp.float32(eye[1]), wp.float32(eye[2]))
+        start += n * (bias * radius + POSITION_ERROR * wp.length(point))
+        # The background, and whatever is not finite: nothing is known to block.
+        if mesh == wp.uint64(0) or not (wp.isfinite(depth) and wp.isfinite(wp.dot(start, start)) and wp.isfinite(n)):
+            out_visibility[i] = 1.0
+            return
+        angle = wp.float32(pixel_hash(x, y)) * TURN
+        cosine, sine = wp.cos(angle), wp.sin(angle)
+        tangent = tangent_of(n)
+        across = wp.cross(n, tangent)
+        hits = wp.int32(0)
+        for k in range(directions.shape[0]):
+            d = load_vec4(directions, k)
+            u, v = d[0] * cosine - d[1] * sine, d[0] * sine + d[1] * cosine
+            if blocked(mesh, view.world, start, tangent * u + across * v + n * d[2], radius):
+                hits += 1
+        visibility = 1.0 - wp.float32(hits) / wp.float32(directions.shape[0])
+        out_visibility[i] = final_visibility(visibility, power)
+
+    return ambient_visibility_traced_kernel

@@ -1,0 +1,288 @@
+"""Bloom: the bright part of every pixel's light, spread by a pyramid of half sizes or a small window.
+
+The lens scatters a share of b, the part of exposed radiance above a threshold with a soft start (`bright_part`), by a
+sum of blurs. Level k has texels of 2^k pixels. `bright` makes level 1 from the picture: taps 1 3 3 1 along each axis,
+the narrowest ones that neither shift nor favour a pixel, each weighted by 1 / (1 + luminance / limit) so that a lone
+bright pixel does not flicker (Karis 2013, "Tone Mapping", where the limit is 1). `downsample` is the filter of 13
+bilinear taps of Jimenez 2014, "Next Generation Post Processing in Call of Duty: Advanced Warfare", written out as the
+6 x 6 texels they touch; `upsample` is his 3 x 3 tent, 4 x 4 texels, mixed into the level below. Display interpolates
+level 1 itself.
+All weights are sums of powers of two and add up to 1 exactly. Beyond the picture's edge the picture is mirrored.
+
+Levels are half4 and hold exposed radiance in [0, 65504]. One thread a texel over 8 x 8 blocks of a level, block size
+64. Every texel is written by one thread in a fixed order of + - * /: bit-identical on all devices.
+
+Bytes for P pixels: `bright` reads 8 P (12 P in float32) and writes 2 P; the levels below are read and written once
+downwards and once upwards, 2/3 P and 10/3 P, all of it within the L2 cache at 1080p. Display reads 2 P more.
+Operations: `bright` has 16 taps a texel, 4 a pixel, of about 25 operations where a pixel is dark and 60, two divisions
+among them, where it is not; the 13 taps read 36 texels for 16 pixels and the tent 16 for 4.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from .intrinsics import load_vec4i, pack_half4, unpack_half3
+from .projection import pixel_in_block, pixel_index
+from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, BloomLevel, View
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BLOCK_DIM = 64
+#: Largest finite half: levels hold no more, nor does display show more.
+MOST = wp.constant(65504.0)
+MAX_FLOAT = wp.constant(3.4028234e38)
+#: (half radiance, weighted against fireflies): what CI compiles.
+VARIANTS = [(half, weighted) for half in (True, False) for weighted in (True, False)]
+
+
+@wp.func
+def exposed(value: wp.vec3, exposure: wp.float32):
+    """Exposed radiance in [0, 65504]; a pixel with a component that is negative, infinite or NaN is black."""
+    # One comparison sees NaN and infinity in any component; min drops NaN, but the sum does not.
+    if not (value[0] + value[1] + value[2] <= MAX_FLOAT):
+        return wp.vec3()
+    if wp.min(value[0], wp.min(value[1], value[2])) < 0.0:
+        return wp.vec3()
+    v = value * exposure
+    return wp.vec3(wp.min(v[0], MOST), wp.min(v[1], MOST), wp.min(v[2], MOST))
+
+
+@wp.func
+def bright_part(v: wp.vec3, bloom: Bloom):
+    """Part of exposed radiance that scatters: all above the threshold, a parabola around it, its hue kept.
+
+    With peak p, threshold t and knee k: max(clamp(p - t + k, 0, 2 k)^2 / (4 k), p - t) / p of it, which is continuous
+    in value and slope, exactly 0 up to t - k and exactly 1 where t = 0.
+    """
+    peak = wp.max(v[0], wp.max(v[1], v[2]))
+    above = peak - bloom.threshold
+    start = wp.clamp(above + bloom.knee, 0.0, 2.0 * bloom.knee)
+    part = wp.max(start * start * bloom.soft, above)
+    if part <= 0.0:
+        return wp.vec3()
+    return v * (part / peak)
+
+
+@wp.func
+def mirrored(i: wp.int32, count: wp.int32, edge: wp.int32):
+    """Index of a texel in the picture continued by mirrors at 0 and at edge / 2 texels; count is at least 1."""
+    j = i
+    if j < 0:
+        j = -1 - j
+    if j >= count:
+        j = edge - 1 - j
+    return wp.clamp(j, 0, count - 1)
+
+
+@wp.func
+def texel(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
+    """Value of a level at whole texels, mirrored."""
+    row = mirrored(y, level.height, level.edge_y) * level.width
+    return unpack_half3(texels[level.first + row + mirrored(x, level.width, level.edge_x)])
+
+
+@wp.func
+def half_texel(v: wp.vec3):
+    """A value >= 0 as half4, at most half's largest."""
+    return pack_half4(wp.min(v[0], MOST), wp.min(v[1], MOST), wp.min(v[2], MOST))
+
+
+@wp.func
+def six_texels(
+    texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32, outer: float, middle: float, inner: float
+):
+    """Weighted sum of six texels of a row around the corner left of x; pairs first, so that mirrors agree."""
+    a = texel(texels, level, x - 3, y) + texel(texels, level, x + 2, y)
+    b = texel(texels, level, x - 2, y) + texel(texels, level, x + 1, y)
+    c = texel(texels, level, x - 1, y) + texel(texels, level, x, y)
+    return a * outer + b * middle + c * inner
+
+
+@wp.func
+def thirteen_taps(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
+    """Jimenez's 13 bilinear taps around the corner above and left of texel (x, y), as 6 x 6 texels.
+
+    The taps are five boxes of 4 x 4 texels: one in the middle of weight 1/2, four a texel off in both directions of
+    1/8 each, which is half of a a' + s s' with a = (0 1 1 1 1 0) / 4 and s = (1 1 2 2 1 1) / 8.
+    """
+    outer = six_texels(texels, level, x, y - 3, 1.0, 1.0, 2.0) + six_texels(texels, level, x, y + 2, 1.0, 1.0, 2.0)
+    middle = six_texels(texels, level, x, y - 2, 1.0, 5.0, 6.0) + six_texels(texels, level, x, y + 1, 1.0, 5.0, 6.0)
+    inner = six_texels(texels, level, x, y - 1, 2.0, 6.0, 8.0) + six_texels(texels, level, x, y, 2.0, 6.0, 8.0)
+    return (outer + middle + inner) * (1.0 / 128.0)
+
+
+@wp.func
+def tent_row(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32, step: wp.int32):
+    """Four texels of a row, weighted 3 7 5 1 towards the side the finer texel lies on."""
+    a, b = texel(texels, level, x - step, y), texel(texels, level, x, y)
+    c, d = texel(texels, level, x + step, y), texel(texels, level, x + 2 * step, y)
+    return a * 3.0 + b * 7.0 + c * 5.0 + d
+
+
+@wp.func
+def tent(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
+    """A level seen from texel (x, y) of the next finer one: Jimenez's 3 x 3 tent of bilinear taps, as 4 x 4 texels.
+
+    A finer texel's centre lies a quarter of a texel off: 1 2 1 of interpolations 1/4 and 3/4 is 3 7 5 1, over 16.
+    """
+    step_x, step_y = 2 * (x & 1) - 1, 2 * (y & 1) - 1
+    i, j = x >> 1, y >> 1
+    a, b = tent_row(texels, level, i, j - step_y, step_x), tent_row(texels, level, i, j, step_x)
+    c, d = tent_row(texels, level, i, j + step_y, step_x), tent_row(texels, level, i, j + 2 * step_y, step_x)
+    return (a * 3.0 + b * 7.0 + c * 5.0 + d) * (1.0 / 256.0)
+
+
+@wp.func
+def bilinear(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
+    """A level seen from texel (x, y) of the next finer one, interpolated between 2 x 2 texels."""
+    i, j = x >> 1, y >> 1
+    step_x, step_y = 2 * (x & 1) - 1, 2 * (y & 1) - 1
+    near = texel(texels, level, i, j) * 3.0 + texel(texels, level, i + step_x, j)
+    far = texel(texels, level, i, j + step_y) * 3.0 + texel(texels, level, i + step_x, j + step_y)
+    return (near * 3.0 + far) * (1.0 / 16.0)
+
+
+@functools.cache
+def make_bright_kernel(half: bool, weighted: bool):
+    """Kernel that makes level 1 from the picture.
+
+    Args:
+        half: Read the half4 radiance, else the float32 colour.
+        weighted: Weigh pixels by 1 / (1 + luminance / limit) of their bright part.
+    """
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
+    def bright_kernel(
+        # Frame
+        views: wp.array[View],
+        blocks: wp.array[wp.vec4i],
+        # In
+        radiance: wp.array[wp.uint64],
+        color: wp.array[wp.vec3],
+        bloom: Bloom,
+        # Params
+        first: wp.int32,
+        # Out
+        out_texels: wp.array[wp.uint64],
+    ):
+        thread = wp.tid() + first
+        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+        place = pixel_in_block(thread)
+        level = bloom.levels[block[3]]
+        x, y = block[1] + place[0], block[2] + place[1]
+        view = views[block[0]]
+        if x >= level.width or y >= level.height or view.bloom <= 0.0:
+            return
+        total, weights = wp.vec3(), wp.float32(0.0)
+        for dy in range(4):
+            row = pixel_index(view, 0, mirrored(2 * y - 1 + dy, view.height, 2 * view.height))
+            for dx in range(4):
+                i = row + mirrored(2 * x - 1 + dx, view.width, 2 * view.width)
+                value = wp.vec3()
+                if wp.static(half):
+                    value = unpack_half3(radiance[i])
+                else:
+                    value = color[i]
+                b = bright_part(exposed(value, view.exposure), bloom)
+                # 1 3 3 1 along each axis.
+                weight = wp.float32((1 + ((dx + 1) & 2)) * (1 + ((dy + 1) & 2)))
+                if wp.static(weighted):
+                    luminance = 0.2126 * b[0] + 0.7152 * b[1] + 0.0722 * b[2]
+                    # Most pixels are dark: they spare the division.
+                    if luminance > 0.0:
+                        weight = weight / (1.0 + luminance * bloom.firefly)
+                    weights += weight
+                total += b * weight
+        if wp.static(weighted):
+            total = total / weights
+        else:
+            total = total * (1.0 / 64.0)
+        out_texels[level.first + y * level.width + x] = half_texel(total)
+
+    return bright_kernel
+
+
+@wp.kernel(grid_stride=False)
+def downsample_kernel(
+    # Frame
+    views: wp.array[View],
+    blocks: wp.array[wp.vec4i],
+    # In
+    levels: wp.array[BloomLevel],
+    # Params
+    first: wp.int32,
+    # Out
+    out_texels: wp.array[wp.uint64],
+):
+    """Fill a level from the next finer one."""
+    thread = wp.tid() + first
+    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    place = pixel_in_block(thread)
+    level = levels[block[3]]
+    x, y = block[1] + place[0], block[2] + place[1]
+    if x >= level.width or y >= level.height or views[block[0]].bloom <= 0.0:
+        return
+    value = thirteen_taps(out_texels, levels[block[3] - 1], 2 * x + 1, 2 * y + 1)
+    out_texels[level.first + y * level.width + x] = half_texel(value)
+
+
+@wp.kernel(grid_stride=False)
+def upsample_kernel(
+    # Frame
+    views: wp.array[View],
+    blocks: wp.array[wp.vec4i],
+    # In
+    levels: wp.array[BloomLevel],
+    # Params
+    first: wp.int32,
+    # Out
+    out_texels: wp.array[wp.uint64],
+):
+    """Mix the wider levels into a level, in place."""
+    thread = wp.tid() + first
+    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    place = pixel_in_block(thread)
+    level = levels[block[3]]
+    x, y = block[1] + place[0], block[2] + place[1]
+    if x >= level.width or y >= level.height or views[block[0]].bloom <= 0.0:
+        return
+    i = level.first + y * level.width + x
+    wider = tent(out_texels, levels[block[3] + 1], x, y)
+    out_texels[i] = half_texel(unpack_half3(out_texels[i]) * (1.0 - level.wider) + wider * level.wider)
+
+
+@wp.kernel(grid_stride=False)
+def gather_kernel(
+    # Frame
+    views: wp.array[View],
+    blocks: wp.array[wp.vec4i],
+    # In
+    bright: wp.array[wp.uint64],
+    levels: wp.array[BloomLevel],
+    # Params
+    window: wp.int32,
+    first: wp.int32,
+    # Out
+    out_texels: wp.array[wp.uint64],
+):
+    """Average the bright parts in a square window around each texel of level 1.
+
+    (2 window + 1)^2 loads of 8 bytes and three additions each for every four pixels, from the L1 cache: at a window of
+    3, 49 loads a texel, 25 million at 1080p.
+    """
+    thread = wp.tid() + first
+    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    place = pixel_in_block(thread)
+    level = levels[block[3]]
+    x, y = block[1] + place[0], block[2] + place[1]
+    if x >= level.width or y >= level.height or views[block[0]].bloom <= 0.0:
+        return
+    total = wp.vec3()
+    for dy in range(-window, window + 1):
+        for dx in range(-window, window + 1):
+            total += texel(bright, level, x + dx, y + dy)
+    side = wp.float32(2 * window + 1)
+    out_texels[level.first + y * level.width + x] = half_texel(total / (side * side))

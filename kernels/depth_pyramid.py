@@ -1,0 +1,71 @@
+"""A pyramid of depths for passes that look far around a pixel: smaller levels keep far fetches in the caches.
+
+A level holds every second, fourth, eighth or sixteenth depth a side, untouched: averages would invent surfaces between
+near and far ones, and would need a rule beside the background (McGuire et al. 2012, "Scalable Ambient Obscurance", 2.2,
+takes single samples too). So each texel is the depth of one known pixel, and a point rebuilt from it lies on the
+surface.
+
+Texel (X, Y) of level k is pixel (X << k) + half, (Y << k) + half with half = 1 << (k - 1); +inf where that pixel is
+outside the view. All levels of a view lie side by side in one rectangle, W = 16 `bins_x` wide and half as high: level k
+begins W - (W >> (k - 1)) texels to the right. Two bytes a pixel in all. Block size 64, one thread a texel of level 1;
+deterministic, every texel has one writer.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .intrinsics import load_vec4i
+from .projection import pixel_in_block, pixel_index
+from .structs import PIXEL_BLOCK_AREA, View
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BLOCK_DIM = 64
+#: Levels beside the depths themselves: a raster bin of 16 x 16 pixels holds whole texels of all of them.
+LEVELS = wp.constant(4)
+#: Words of the pyramid a bin takes.
+BIN_WORDS = 128
+
+
+@wp.func
+def pyramid_index(view: View, level: wp.int32, x: wp.int32, y: wp.int32):
+    """Index of the texel of a level, 1 to LEVELS, that covers pixel (x, y)."""
+    pitch = view.bins_x << 4
+    return (view.bin_offset << 7) + (y >> level) * pitch + pitch - (pitch >> (level - 1)) + (x >> level)
+
+
+@wp.func
+def depth_or_infinity(view: View, depth: wp.array[wp.float32], x: wp.int32, y: wp.int32):
+    """Depth of a pixel, +inf outside the view."""
+    if x >= view.width or y >= view.height:
+        return wp.float32(wp.inf)
+    return depth[pixel_index(view, x, y)]
+
+
+@wp.kernel(grid_stride=False)
+def fill_pyramid_kernel(
+    # Frame
+    views: wp.array[View],
+    bin_tiles: wp.array[wp.vec4i],
+    # In
+    depth: wp.array[wp.float32],
+    # Params
+    first: wp.int32,
+    # Out
+    out_pyramid: wp.array[wp.float32],
+):
+    """Depths of all levels. Reads a third of the depths' sectors at least once, writes 1.33 bytes a pixel."""
+    thread = wp.tid() + first
+    tile = load_vec4i(bin_tiles, thread // PIXEL_BLOCK_AREA)
+    place = pixel_in_block(thread)
+    view = views[tile[0]]
+    if view.depth_only != 0:
+        return
+    x, y = tile[1] + 2 * place[0], tile[2] + 2 * place[1]
+    both = place[0] | place[1]
+    for level in range(1, LEVELS + 1):
+        # Level k has a texel for every (1 << (k - 1))-th thread a side.
+        if (both & ((1 << (level - 1)) - 1)) == 0:
+            half = 1 << (level - 1)
+            out_pyramid[pyramid_index(view, level, x, y)] = depth_or_infinity(view, depth, x + half, y + half)

@@ -1,0 +1,512 @@
+"""Bloom's rungs: against their float64 twins and each other, hard cases M1 to M6 and P11, views, plans, pictures."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import reference
+import warp as wp
+from bloom_harness import KEEP, Blooming, bloom_of, gaussians_of, request_of, shown
+from builders import Spy, gallery, grid, images
+
+import warp_deferred as wd
+from warp_deferred.effects import EFFECTS
+from warp_deferred.views import ViewSize
+
+RUNGS = ("neighbourhood", "mip_chain", "exact")
+SIZES = [(64, 48), (33, 17), (1, 1), (1, 9), (7, 1), (2, 2), (135, 40), (65, 129)]
+#: Rounding of a half, relative; below 2^-14 absolute steps of 2^-24.
+HALF, TINY = 2.0**-11, 2.0**-24
+#: Six levels even on small images.
+WIDE = "bloom.radius=0.5"
+
+
+def rung(name):
+    return f"bloom.rung={name}"
+
+
+def lamps(width, height, seed=3):
+    """Return a dark picture with round lamps of many sizes, a thin tube and lone bright pixels."""
+    rng = np.random.default_rng(seed)
+    image = rng.uniform(0.0, 0.2, (height, width, 3))
+    y, x = np.mgrid[0:height, 0:width]
+    for _ in range(6):
+        cx, cy, r = rng.uniform(0, width), rng.uniform(0, height), rng.uniform(1.0, 6.0)
+        image[(x - cx) ** 2 + (y - cy) ** 2 < r * r] = rng.uniform(2.0, 12.0, 3)
+    image[height // 3, width // 5 : width // 2] = (6.0, 0.5, 3.0)
+    for _ in range(5):
+        image[rng.integers(height), rng.integers(width)] = rng.uniform(5.0, 40.0, 3)
+    return image.astype(np.float32)
+
+
+def noise(width, height, seed=1):
+    return np.random.default_rng(seed).uniform(0.0, 4.0, (height, width, 3)).astype(np.float32)
+
+
+# ---- against the twins
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+@pytest.mark.parametrize("changes", [KEEP, ("bloom.fireflies=0", "bloom.threshold=1.5", "bloom.knee=0.3")])
+def test_mip_chain_is_its_twin(width, height, changes, device):
+    image = noise(width, height)
+    bright = image if changes is KEEP else reference.bloom_bright(image, 1.5, 0.45)
+    shares, _ = gaussians_of(height, *changes, WIDE)
+    expected = reference.bloom_chain(bright, shares)
+    actual = Blooming([image], *changes, WIDE, device=device).run().level()
+    # Each of the 2 levels - 1 steps rounds to a half once.
+    np.testing.assert_allclose(actual, expected, rtol=2 * len(shares) * HALF, atol=1e-6)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+@pytest.mark.parametrize("window", [1, 3, 8])
+def test_neighbourhood_is_its_twin(width, height, window, device):
+    image = noise(width, height)
+    expected = reference.bloom_window(image.astype(float), window)
+    fields = (*KEEP, rung("neighbourhood"), f"bloom.window={window}")
+    actual = Blooming([image], *fields, device=device).run().level()
+    np.testing.assert_allclose(actual, expected, rtol=3 * HALF)
+
+
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_exact_is_the_sum_of_gaussians(width, height, device):
+    image = noise(width, height)
+    expected = reference.bloom_gaussians(image.astype(float), *gaussians_of(height, WIDE))
+    actual = Blooming([image], *KEEP, WIDE, rung("exact"), device=device).run().level()
+    # Five deviations hold all but 6e-7 of a Gaussian.
+    np.testing.assert_allclose(actual, expected, rtol=5e-6)
+
+
+@pytest.mark.parametrize("limit", [1.0, 16.0])
+def test_weighted_level_is_a_weighted_mean(limit, device):
+    image = lamps(32, 20)
+    stage = Blooming([image], "bloom.threshold=0", "bloom.radius=0.01", f"bloom.fireflies={limit}", device=device).run()
+    padded = np.pad(image.astype(float), ((1, 1), (1, 1), (0, 0)), mode="symmetric")
+    taps = np.outer((1, 3, 3, 1), (1, 3, 3, 1))
+    for y, x in ((0, 0), (4, 7), (9, 15)):
+        block = padded[2 * y : 2 * y + 4, 2 * x : 2 * x + 4]
+        w = taps / (1.0 + block @ (0.2126, 0.7152, 0.0722) / limit)
+        expected = (w[..., None] * block).sum(axis=(0, 1)) / w.sum()
+        np.testing.assert_allclose(stage.level()[y, x], expected, rtol=2 * HALF)
+
+
+# ---- the ladder's stated bounds
+
+
+@pytest.mark.parametrize("radius", [0.07, 0.2])
+def test_rungs_keep_their_bounds_against_exact(radius):
+    """Bounds of BloomSettings' docstring."""
+    image = lamps(160, 96)
+    fields = ("bloom.fireflies=0", f"bloom.radius={radius}")
+    exact = bloom_of(image, *fields, rung("exact"))
+    for name, most, worst in (("mip_chain", 0.15, 0.3), ("neighbourhood", 1.6, np.inf)):
+        error = np.abs(bloom_of(image, *fields, rung(name)) - exact)
+        assert error.sum() <= most * exact.sum()
+        assert error.max() <= worst * exact.max()
+    assert error.sum() > 0.15 * exact.sum()
+
+
+# ---- hard cases
+
+
+@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize(
+    "bad", [np.nan, np.inf, -np.inf, -1.0, (1.0, np.nan, 2.0), (np.inf, 1.0, 1.0), (5.0, -2.0, 1.0)]
+)
+def test_m1_a_bad_pixel_counts_as_black(name, bad, device):
+    image, zero = lamps(40, 24), lamps(40, 24)
+    image[11, 17], zero[11, 17] = bad, 0.0
+    fields = (rung(name), WIDE)
+    a, b = (Blooming([i], *fields, device=device).run() for i in (image, zero))
+    assert np.isfinite(a.level()).all()
+    assert np.array_equal(a.level(), b.level())
+    mixed = a.mixed()[0]
+    assert np.isfinite(mixed).all() and mixed.min() >= 0.0
+
+
+@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize("fireflies", [0, 1, 16])
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (37, 19), (1, 5), (1, 1)])
+def test_m2_a_constant_image_stays(name, fireflies, width, height, device):
+    """Halves hold these values, so nothing is rounded away."""
+    for c in (2.0**-10, 0.75, 3.0, 1000.0):
+        image = np.full((height, width, 3), (c, 0.5 * c, 2.0 * c), np.float32)
+        stage = Blooming([image], rung(name), "bloom.threshold=0", f"bloom.fireflies={fireflies}", WIDE, device=device)
+        stage.run()
+        count = stage.stage.pyramid.count if name == "mip_chain" else 1
+        for index in range(count):
+            level = stage.level(index=index)
+            np.testing.assert_allclose(level, np.broadcast_to(image[0, 0], level.shape), rtol=1e-6)
+        np.testing.assert_allclose(stage.mixed()[0], image, rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize("power", [-3, 1, 6])
+def test_m3_powers_of_two_pass_through_to_the_bit(name, power, device):
+    image = 0.25 + noise(45, 30)
+    one = Blooming([image], *KEEP, rung(name), WIDE, device=device).run().level()
+    two = Blooming([image * 2.0**power], *KEEP, rung(name), WIDE, device=device).run().level()
+    assert np.array_equal(one * np.float32(2.0**power), two)
+
+
+@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize(("width", "height"), [(33, 17), (7, 5), (1, 9), (9, 1), (3, 3), (1, 1), (127, 63), (64, 64)])
+@pytest.mark.parametrize("radius", [0.05, 0.5])
+def test_m5_the_centroid_stays(name, width, height, radius):
+    """A lamp in the middle of an image of any size, with far more levels than the image has halves."""
+    image = np.zeros((height, width, 3), np.float32)
+    y, x = np.mgrid[0:height, 0:width]
+    image[(np.abs(x - (width - 1) / 2) < 1.5) & (np.abs(y - (height - 1) / 2) < 1.5)] = 8.0
+    out = bloom_of(image, *KEEP, rung(name), f"bloom.radius={radius}")[..., 0]
+    assert out.sum() > 0.0
+    assert abs((x * out).sum() / out.sum() - (width - 1) / 2) <= 0.5
+    assert abs((y * out).sum() / out.sum() - (height - 1) / 2) <= 0.5
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_m5_more_levels_than_halves(name):
+    stage = Blooming([noise(3, 300), noise(1, 1), noise(700, 2)], *KEEP, rung(name), WIDE).run()
+    for row in stage.stage.pyramid.rows[stage.stage.pyramid.rows["width"] > 0]:
+        assert row["height"] >= 1
+    assert all(np.isfinite(stage.level(v)).all() and stage.level(v).min() >= 0.0 for v in range(3))
+    assert stage.stage.pyramid.count > 6 or name != "mip_chain"
+
+
+@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize("fireflies", [0, 1, 16])
+def test_m6_the_largest_half_everywhere(name, fireflies, device):
+    image = np.full((30, 41, 3), 65504.0, np.float32)
+    for threshold in ("0", "1"):
+        fields = (rung(name), WIDE, f"bloom.threshold={threshold}", f"bloom.fireflies={fireflies}")
+        stage = Blooming([image], *fields, exposures=4.0, device=device).run()
+        assert np.isfinite(stage.level()).all() and stage.level().max() <= 65504.0
+        # The pyramid rounds what is above the threshold to halves, 32 apart here.
+        np.testing.assert_allclose(stage.mixed()[0], image, rtol=HALF)
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_p11_strength_zero_is_the_identity_and_all_is_finite(name, device):
+    rng = np.random.default_rng(7)
+    image = (10.0 ** rng.uniform(-30, 30, (29, 37, 3))).astype(np.float32)
+    image[:4] = rng.choice(np.float32([0.0, -0.0, 1e-45, 1.1754944e-38, 1.0, 65504.0, 65519.0, 3.0e38]), (4, 37, 3))
+    with np.errstate(over="ignore"):
+        plain = np.minimum(np.maximum(image, 0.0), np.float32(65504.0))
+    for fields in ((), ("bloom.threshold=0",), ("bloom.knee=0",)):
+        off = shown(image, rung(name), *fields, shares=0.0, device=device)
+        assert np.array_equal(off, plain)
+        for exposure in (-20.0, 0.0, 20.0):
+            on = shown(image, rung(name), *fields, exposures=exposure, device=device)
+            assert np.isfinite(on).all() and on.min() >= 0.0 and on.max() <= 65504.0
+
+
+# ---- what bloom is
+
+
+@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize("threshold", [0.0, 1.0])
+def test_light_is_moved_not_made(name, threshold):
+    # Lamps well inside, on sizes that halve without rest: what mirrors return is exact there.
+    image = np.zeros((64, 128, 3), np.float32)
+    image[28:36, 50:64], image[20, 80], image[40:50, 30] = (3.0, 7.0, 1.5), 30.0, 4.0
+    fields = (rung(name), f"bloom.threshold={threshold}", "bloom.fireflies=0", "bloom.radius=0.12")
+    total = shown(image, *fields, shares=0.6).sum(axis=(0, 1), dtype=float)
+    np.testing.assert_allclose(total, image.sum(axis=(0, 1), dtype=float), rtol=2e-3)
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_mixing_is_what_the_settings_say(name):
+    image = lamps(52, 35)
+    stage = Blooming([image], rung(name), shares=0.3, exposures=1.0).run()
+    c = 2.0 * image.astype(float)
+    expected = c - 0.3 * reference.bloom_bright(c, 1.0, 0.5) + 0.3 * stage.seen()
+    np.testing.assert_allclose(stage.mixed()[0], expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["neighbourhood", "mip_chain"])
+def test_mirrored_images_have_mirrored_blooms(name):
+    image = lamps(64, 32)
+    one = Blooming([image], *KEEP, rung(name)).run().level()
+    two = Blooming([image[::-1, ::-1].copy()], *KEEP, rung(name)).run().level()
+    np.testing.assert_allclose(two[::-1, ::-1], one, rtol=2 * HALF, atol=1e-5)
+
+
+def test_weighting_tames_a_lone_pixel():
+    image = np.full((48, 64, 3), 0.1, np.float32)
+    image[20, 30] = 1000.0
+    kept, weighted = (bloom_of(image, *changes).max() for changes in (("bloom.fireflies=0",), ()))
+    assert weighted < 0.05 * kept
+
+
+def test_nothing_reaches_across_views(device):
+    """Views of different sizes and strengths in one batch have the bits they have alone."""
+    pictures = [lamps(40, 24), np.full((9, 1, 3), 50.0, np.float32), lamps(97, 61, 5), noise(64, 8), lamps(16, 200)]
+    shares, exposures = (0.2, 1.0, 0.0, 0.7, 0.4), (0.0, -1.0, 2.0, 0.5, 1.0)
+    for name in RUNGS:
+        both = Blooming(pictures, rung(name), shares=shares, exposures=exposures, device=device).run()
+        mixed = both.mixed()
+        for v, picture in enumerate(pictures):
+            alone = Blooming([picture], rung(name), shares=shares[v], exposures=exposures[v], device=device).run()
+            assert np.array_equal(alone.mixed()[0], mixed[v]), (name, v)
+            if shares[v]:
+                assert np.array_equal(alone.level(), both.level(v)), (name, v)
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_threads_change_no_bit(name):
+    image = lamps(130, 70)
+    one, three = (Blooming([image], rung(name), threads=n).run() for n in (1, 3))
+    assert np.array_equal(one.level(), three.level())
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", RUNGS)
+def test_devices_agree_to_the_bit(name, cuda_device):
+    pictures = [lamps(130, 70), lamps(33, 65, 4)]
+    for fields in ((), KEEP, (WIDE,)):
+        a, b = (Blooming(pictures, rung(name), *fields, shares=0.4, device=d).run() for d in ("cpu", cuda_device))
+        for v in range(2):
+            assert np.array_equal(a.level(v), b.level(v))
+            assert np.array_equal(a.mixed()[v], b.mixed()[v])
+
+
+def test_half_radiance_gives_the_same_bits_as_what_it_holds(device):
+    image = lamps(40, 26).astype(np.float16).astype(np.float32)
+    for name in RUNGS:
+        full, half = (Blooming([image], rung(name), half=h, device=device).run() for h in (False, True))
+        assert np.array_equal(full.level(), half.level())
+
+
+# ---- plans and pictures
+
+
+def glowing(power=8.0):
+    """Return a dark wall with a small emitting square before it."""
+    scene = wd.Scene()
+    scene.add(grid(2, 6.0), material=wd.Material(base_color=(0.3, 0.3, 0.3, 1.0)))
+    lamp = wd.Material(base_color=(0.0, 0.0, 0.0, 1.0), emissive=(power, 0.6 * power, 0.1 * power))
+    matrix = np.eye(4)
+    matrix[:3, 3] = (0.2, 0.1, 0.3)
+    scene.add(grid(1, 0.4), transform=matrix, material=lamp)
+    scene.lights.add(wd.PointLight(position=(0.0, 1.0, 2.0), intensity=0.8))
+    scene.camera = wd.Camera.look_at((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), bloom=0.3)
+    return scene
+
+
+def render(scene, *changes, device="cpu", camera=None, outputs=("display",), **fields):
+    settings = wd.Settings().with_values(list(changes))
+    renderer = wd.Renderer(scene, width=75, height=50, device=device, outputs=outputs, settings=settings, **fields)
+    return renderer, images(renderer.render(camera or scene.camera))["display"].copy()
+
+
+def section_of(renderer):
+    return next(s for s in renderer.plan.resources.program.sections if s.name == "bloom")
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_a_lamp_glows_on_the_wall(name, device):
+    scene = glowing()
+    renderer, on = render(scene, rung(name), "bloom.window=8", device=device)
+    _, off = render(scene, rung("off"), device=device)
+    assert [s.name for s in renderer.plan.passes if s.name == "bloom"] == ["bloom"]
+    grown = on.astype(int) - off
+    y, x = np.nonzero(off[..., 0] == off[..., 0].max())
+    beside = grown[int(y.mean()), int(x.max()) + 3, 0]
+    assert beside > 10
+    assert abs(grown[2, 2]).max() <= 8
+
+
+def test_color_is_without_bloom(device):
+    scene = glowing()
+    frames = []
+    for name in ("off", "mip_chain"):
+        settings = wd.Settings().with_values([rung(name)])
+        renderer = wd.Renderer(
+            scene, width=75, height=50, device=device, outputs=("color", "display"), settings=settings
+        )
+        frames.append(images(renderer.render()))
+    assert np.array_equal(frames[0]["color"], frames[1]["color"])
+    assert not np.array_equal(frames[0]["display"], frames[1]["display"])
+
+
+@pytest.mark.parametrize("name", RUNGS)
+@pytest.mark.parametrize("outputs", [("display",), ("display", "color")])
+def test_p11_always_with_no_strength_is_neutral_to_the_bit(name, outputs, device):
+    scene = glowing()
+    camera = scene.camera.replace(bloom=0.0)
+    plain, off = render(scene, camera=camera, outputs=outputs, device=device)
+    forced, on = render(scene, rung(name), "bloom.when=always", camera=camera, outputs=outputs, device=device)
+    assert "bloom" not in [s.name for s in plain.plan.passes]
+    assert "bloom" in [s.name for s in forced.plan.passes]
+    assert np.array_equal(on, off)
+
+
+def test_strengths_belong_to_views(device):
+    scene = glowing()
+    shares = (0.0, 0.1, 0.6)
+    cameras = [scene.camera.replace(bloom=s) for s in shares]
+    renderer = wd.Renderer(scene, width=75, height=50, device=device)
+    batch = renderer.render(cameras)
+    several = [images(batch, v)["display"].copy() for v in range(3)]
+    for v, camera in enumerate(cameras):
+        assert np.array_equal(images(renderer.render(camera))["display"], several[v])
+    assert not np.array_equal(several[1], several[2])
+
+
+def test_a_frame_without_bright_pixels_is_the_frame_without_bloom(device):
+    """The flag: raised by one bright pixel, lowered by the next upload, and tested by display."""
+    scene = glowing()
+    renderer, lit = render(scene, device=device)
+    _, lit_off = render(scene, rung("off"), device=device)
+    section = section_of(renderer)
+    flag = section.condition
+    assert flag.numpy()[0] == 1 and not np.array_equal(lit, lit_off)
+    dim = scene.camera.replace(exposure=-6.0)
+    _, dim_off = render(scene, rung("off"), camera=dim, device=device)
+    assert np.array_equal(images(renderer.render(dim))["display"], dim_off)
+    assert flag.numpy()[0] == 0
+    assert np.array_equal(images(renderer.render(scene.camera))["display"], lit)
+    assert flag.numpy()[0] == 1
+    # A bright pixel of a view whose lens does not scatter calls for nothing.
+    renderer.render([dim, scene.camera.replace(bloom=0.0)])
+    assert renderer.plan.resources.frame.bright.numpy()[0] == 0
+
+
+def test_nothing_stale_shows():
+    pictures = [lamps(40, 24)]
+    stage = Blooming(pictures, bright=0)
+    assert np.array_equal(stage.mixed()[0], np.minimum(pictures[0], 65504.0))
+    # Without a threshold all light scatters: no flag is needed, and none is looked at.
+    stage = Blooming(pictures, "bloom.threshold=0", bright=0).run()
+    assert stage.stage.active(stage.resources) is None
+    assert not np.array_equal(stage.mixed()[0], pictures[0])
+
+
+def test_called_for_by_lens_and_settings():
+    size = (ViewSize(8, 8),)
+    effect = next(e for e in EFFECTS if e.name == "bloom")
+    assert effect.verdict(request_of(size)) == (True, "a camera's lens has bloom")
+    assert effect.verdict(request_of(size, lens=False)) == (False, "no camera's lens has bloom")
+    assert effect.verdict(request_of(size, "bloom.rung=off")) == (False, "bloom.rung is off")
+    assert effect.verdict(request_of(size, "bloom.when=always", "bloom.rung=off"))[0] is False
+    assert effect.verdict(request_of(size, "bloom.when=always", lens=False))[0] is True
+
+
+def test_explain_says_why_not():
+    scene = glowing()
+    scene.camera = scene.camera.replace(bloom=0.0)
+    renderer, _ = render(scene)
+    rows = {row.name: row for row in renderer.explain(measure=False).rows}
+    assert not rows["bloom"].runs and rows["bloom"].reason == "no camera's lens has bloom"
+    renderer = wd.Renderer(scene, width=8, height=8, device="cpu", outputs=("depth",))
+    renderer.render(scene.camera.replace(bloom=0.5))
+    assert "bloom" not in renderer.plan.resources.channels
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_a_skipped_pass_touches_nothing(name, device):
+    """Bloom's memory keeps what was put there while no pixel is bright, and the picture shows none of it."""
+    scene = glowing()
+    dim = scene.camera.replace(exposure=-6.0)
+    renderer, on = render(scene, rung(name), device=device, share_memory=False)
+    junk = renderer.plan.resources.channels["bloom"]
+    junk.fill_(7 if junk.dtype is wp.uint64 else 7.0)
+    before = junk.numpy().copy()
+    _, dim_off = render(scene, rung("off"), camera=dim, device=device)
+    assert np.array_equal(images(renderer.render(dim))["display"], dim_off)
+    assert np.array_equal(junk.numpy(), before)
+    assert np.array_equal(images(renderer.render(scene.camera))["display"], on)
+    assert not np.array_equal(junk.numpy(), before)
+    row = {r.name: r for r in renderer.explain().rows}["bloom"]
+    assert row.reason == "a camera's lens has bloom; active if some pixel exceeds the threshold" and row.active
+
+
+def test_samples_raise_the_flag_and_share_one_bloom(device):
+    """Any sample may raise the flag; bloom then works on the average, once a frame."""
+    scene = glowing()
+    sampled = ("anti_aliasing.rung=samples_4",)
+    renderer, on = render(scene, *sampled, device=device)
+    _, off = render(scene, *sampled, rung("off"), device=device)
+    assert section_of(renderer).condition.numpy()[0] == 1
+    assert not np.array_equal(on, off)
+    names = [s.name for s in renderer.plan.passes]
+    assert names.index("bloom") > names.index("average")
+    dim = scene.camera.replace(exposure=-6.0)
+    _, dim_off = render(scene, *sampled, rung("off"), camera=dim, device=device)
+    assert np.array_equal(images(renderer.render(dim))["display"], dim_off)
+
+
+@wp.kernel
+def brighten_kernel(
+    source: wp.array[wp.vec3],
+    out_image: wp.array[wp.vec3],
+):
+    i = wp.tid()
+    out_image[i] = source[i] * 64.0
+
+
+class BrightenPass(wd.Pass):
+    """Makes a dark picture bright behind shade's back."""
+
+    name = "brighten"
+    image = "turn"
+
+    def run(self, resources):
+        source, target = resources.channels[self.source], resources.channels[self.target]
+        resources.program.launch(brighten_kernel, source.size, [source], [target], block_dim=256)
+
+
+def test_bloom_sees_the_image_behind_the_users_own_passes(device):
+    scene = glowing()
+    dim = scene.camera.replace(exposure=-6.0)
+    renderer, on = render(scene, camera=dim, device=device, passes=[BrightenPass])
+    assert [s.name for s in renderer.plan.passes][-3:] == ["brighten", "bloom", "display"]
+    assert section_of(renderer).condition is None
+    _, expected = render(scene, "shade.radiance=float32", device=device)
+    assert np.array_equal(on, expected)
+
+
+def test_nothing_of_bloom_is_imported_before_a_lens_asks(tmp_path):
+    code = """
+import sys
+import warp_deferred as wd
+scene = wd.load("lambert_plane")
+wd.Renderer(scene, width=8, height=8, device="cpu").render()
+assert not [n for n in sys.modules if "bloom" in n], [n for n in sys.modules if "bloom" in n]
+wd.Renderer(scene, width=8, height=8, device="cpu").render(scene.camera.replace(bloom=0.1))
+assert [n for n in sys.modules if n.startswith("warp_deferred") and "bloom" in n]
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_what_is_not_called_for_is_not_there(device):
+    scene = gallery()
+    scene.camera = scene.camera.replace(bloom=0.0)
+    renderer = wd.Renderer(scene, width=40, height=30, device=device)
+    renderer.render()
+    modules = {kernel.module.name + kernel.key for kernel, _ in renderer.plan.resources.program.kernels}
+    assert not any("bloom" in name or "bright" in name for name in modules)
+    assert not any("bloom" in name for name in renderer.plan.memory)
+
+
+@pytest.mark.parametrize("name", RUNGS)
+def test_a_second_frame_makes_nothing_new(name, device):
+    scene = glowing()
+    renderer, _ = render(scene, rung(name), device=device)
+    with Spy() as spy:
+        for k in range(3):
+            renderer.render(scene.camera.replace(bloom=0.1 + 0.2 * k, exposure=0.5 * k))
+    spy.assert_nothing()
+
+
+@pytest.mark.gpu
+def test_graph_and_direct_run_agree(cuda_device):
+    renderer, replayed = render(glowing(), device=cuda_device)
+    program = renderer.plan.resources.program
+    for section in program.sections:
+        program.run_section(section)
+    wp.synchronize()
+    assert np.array_equal(renderer.plan.outputs["display"].numpy()[0], replayed)

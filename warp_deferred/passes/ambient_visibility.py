@@ -1,0 +1,126 @@
+"""Ambient visibility: how much of the constant ambient light each pixel sees."""
+
+from __future__ import annotations
+
+import numpy as np
+import warp as wp
+
+from ..kernels import ambient_visibility as gtao
+from ..kernels import ambient_visibility_ssao as ssao
+from ..kernels import ambient_visibility_traced as traced
+from ..kernels import bilateral, depth_pyramid
+from ..program import FIRST
+from ..resources import Resources
+from ..world_mesh import WorldMesh
+from .base import Buffer, Pass
+from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
+
+__all__ = ["AmbientVisibilityPass"]
+
+#: Beyond it the squared radius would leave float32 [m].
+LARGEST_RADIUS = 1e18
+
+
+class AmbientVisibilityPass(Pass):
+    """Share of ambient light that reaches each surface."""
+
+    name = "ambient_visibility"
+    doc = "find how much ambient light each surface sees"
+
+    def rung(self) -> str:
+        """Rung."""
+        return self.request.settings.ambient_visibility.rung
+
+    def reads(self) -> tuple[str, ...]:
+        """Depth and normals."""
+        return ("depth", *gbuffer_buffers(self.request, self.layout))
+
+    def writes(self) -> dict[str, Buffer]:
+        """Visibility, and what its making needs: the depth pyramid, words before and after the first blur."""
+        pixels = max(self.layout.pixels, 1)
+        result = {"ambient_visibility": Buffer(wp.float32, pixels)}
+        if self.rung() != "ray_traced":
+            bins = max(len(self.layout.bin_tiles), 1)
+            words = bins * 64 if self.half else pixels
+            result |= {
+                "visibility_pyramid": Buffer(wp.float32, bins * depth_pyramid.BIN_WORDS),
+                "visibility_words": Buffer(wp.uint32, words),
+                "visibility_rows": Buffer(wp.uint32, words),
+            }
+        return result
+
+    @property
+    def half(self) -> bool:
+        """Whether horizons are searched at half size."""
+        return self.rung() == "gtao_half"
+
+    def prepare(self, resources: Resources) -> None:
+        """Fetch the kernels, upload patterns; for the reference rung build the world's triangles and their BVH."""
+        settings, codec = self.request.settings.ambient_visibility, gbuffer_codec(self.request)
+        low, high = resources.scene.box()
+        radius = float(np.linalg.norm(high - low)) / 20.0 if settings.radius_m is None else settings.radius_m
+        self.radius = min(radius, LARGEST_RADIUS)
+        self.gbuffer = make_gbuffer(resources)
+        if self.rung() == "ray_traced":
+            self.world = WorldMesh(resources.scene)
+            self.gather = traced.make_ambient_visibility_traced_kernel(codec, self.world.grouped)
+            table = traced.cosine_directions(settings.rays)
+        elif self.rung() == "ssao":
+            self.gather = ssao.make_ambient_visibility_ssao_kernel(codec)
+            table = ssao.hemisphere_points(settings.samples)
+        else:
+            self.gather = gtao.make_ambient_visibility_kernel(codec, settings.slices, settings.steps, self.half)
+            table = gtao.slice_pattern(settings.slices)
+        if self.half:
+            self.upsample = bilateral.make_upsample_kernel(codec)
+        self.table = wp.array(table, dtype=wp.vec4, device=resources.device)
+
+    def run(self, resources: Resources) -> None:
+        """Rays; or pyramid, gathering, blur along rows and columns, and up to full size."""
+        if self.rung() == "ray_traced":
+            self._trace(resources)
+            return
+        program, views, channels = resources.program, resources.frame.views, resources.channels
+        pyramid, words, rows = (channels[f"visibility_{n}"] for n in ("pyramid", "words", "rows"))
+        final, power = channels["ambient_visibility"], self.request.settings.ambient_visibility.power
+        over_bins = len(self.layout.bin_tiles) * 64
+        over_blocks = len(self.layout.blocks) * 64
+        tiles, threads = (resources.bin_tiles, over_bins) if self.half else (resources.blocks, over_blocks)
+        program.launch(
+            depth_pyramid.fill_pyramid_kernel, over_bins, [views, resources.bin_tiles, channels["depth"], FIRST],
+            [pyramid], block_dim=depth_pyramid.BLOCK_DIM, band=64,
+        )  # fmt: skip
+        inputs = [views, tiles, self.gbuffer, pyramid, self.table, *self._gather_parameters(), FIRST]
+        program.launch(self.gather, threads, inputs, [words], block_dim=gtao.BLOCK_DIM, band=64)
+        blur, half = bilateral.blur_words_kernel, int(self.half)
+        # Narrow rows and columns, then wide ones; the last one finishes, or hands over to the upsampling.
+        stages = [(0, 0, words, rows), (1, 0, rows, words), (0, 1, words, rows)] + [(1, 1, rows, words)] * half
+        for columns, wide, source, target in stages:
+            inputs = [views, tiles, source, self.radius, columns, wide, half, FIRST]
+            program.launch(blur, threads, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
+        last, source = (self.upsample, words) if self.half else (bilateral.blur_final_kernel, rows)
+        inputs = [views, resources.blocks, *([self.gbuffer] * half), source, self.radius, power, FIRST]
+        program.launch(last, over_blocks, inputs, [final], block_dim=bilateral.BLOCK_DIM, band=64)
+
+    def _gather_parameters(self) -> list[float]:
+        settings = self.request.settings.ambient_visibility
+        return [settings.samples, self.radius, settings.bias] if self.rung() == "ssao" else [self.radius]
+
+    def _trace(self, resources: Resources) -> None:
+        settings = self.request.settings.ambient_visibility
+        self.world.add_update(resources.program)
+        inputs = [
+            resources.frame.views, resources.blocks, wp.uint64(self.world.id), self.world.anchor, self.gbuffer,
+            self.table, self.radius, settings.bias, settings.power, FIRST,
+        ]  # fmt: skip
+        resources.program.launch(
+            self.gather, len(self.layout.blocks) * 64, inputs, [resources.channels["ambient_visibility"]],
+            block_dim=traced.BLOCK_DIM, band=64,
+        )  # fmt: skip
+
+    def bytes_moved(self) -> int:
+        """Depth and normals in, visibility out; the pyramid; words four times each way, at half size five."""
+        if self.rung() == "ray_traced":
+            return self.layout.pixels * 12
+        words = (20 + 20) * 0.25 + 8 if self.half else 16 + 16
+        return int(self.layout.pixels * (8 + 1.33 + words + 4))

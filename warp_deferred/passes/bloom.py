@@ -1,0 +1,260 @@
+"""Bloom: light that the lens scatters around what is bright; display mixes it in."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+
+import numpy as np
+import warp as wp
+
+from ..kernels import structs
+from ..program import FIRST
+from ..resources import Resources
+from ..settings import Settings
+from ..views import ViewLayout, ViewSize, block_grid, table_array
+from .base import Buffer, Pass, Request
+from .image import float_image, image_bytes, make_image
+
+__all__ = ["BloomPass", "Pyramid", "bright_level", "level_count", "make_bloom", "spread", "weights"]
+
+#: A level more than any picture has pixels for would be one texel of everything, like the one before.
+MAX_LEVELS = 14
+#: A half keeps 11 bits: shade must not miss a pixel that only its rounding lifts above the threshold.
+ROUNDING = 1.0 - 2.0**-10
+
+
+def bright_level(request: Request) -> float | None:
+    """Exposed radiance above which shade says that bloom has work; None where it need not, or cannot, say.
+
+    Samples and blurs average what shade wrote, so their pixels are above it only where shade's are; a user's own pass
+    may write anything.
+    """
+    settings = request.settings.bloom
+    changed = any(stage.image in ("turn", "rewrite") for stage in request.passes)
+    if changed or "display" not in request.outputs or settings.threshold == 0.0:
+        return None
+    return settings.threshold * (1.0 - settings.knee) * ROUNDING
+
+
+def spread(level: int) -> float:
+    """Standard deviation of the blur that level 1, 2, ... of the pyramid comes to, as display sees it [px].
+
+    Variances add up, along each axis, over the positions a pixel may have in its texels: 3/4 for the taps 1 3 3 1 of
+    level 1, 7/4 source texels squared for every further level (half of 5/4 and 9/4, see `thirteen_taps`), 11/16 texels
+    squared for the tent out of a level (1/2 for 1 2 1, 3/16 for interpolating a quarter off) and 3/16 for display's
+    interpolation of level 1. With texels of 4^k px^2 the sum is (3 4^k - 9) / 2.
+    """
+    return math.sqrt((3.0 * 4.0**level - 9.0) / 2.0)
+
+
+def level_count(height: int, radius: float) -> int:
+    """Levels whose widest blur comes nearest to `radius` times the height, as a ratio."""
+    wanted = radius * height
+    ratios = [abs(math.log(spread(k) / wanted)) for k in range(1, MAX_LEVELS + 1)]
+    return 1 + ratios.index(min(ratios))
+
+
+def weights(count: int, falloff: float) -> np.ndarray:
+    """Share of each blur, narrowest first: a geometric row that adds up to 1; (count,) float64."""
+    row = falloff ** np.arange(count)
+    return row / row.sum()
+
+
+@dataclasses.dataclass(frozen=True)
+class Pyramid:
+    """Where the levels of all views lie in one buffer.
+
+    Attributes:
+        rows: `structs.BloomLevel` rows, `count` a view; rows of levels a view does not have are 0.
+        count: Most levels a view has.
+        texels: Texels of all levels.
+        down: For each level, (b, 4) int32: view, x, y, row of each 8 x 8 block.
+        up: The same, of those views that have a wider level yet.
+    """
+
+    rows: np.ndarray
+    count: int
+    texels: int
+    down: list[np.ndarray]
+    up: list[np.ndarray]
+
+    @classmethod
+    def of(cls, sizes: tuple[ViewSize, ...], settings: Settings) -> Pyramid:
+        """Lay out the levels of the views that keep colour."""
+        s = settings.bloom
+        chain = s.rung == "mip_chain"
+        counts = [0 if v.depth_only else level_count(v.height, s.radius) if chain else 1 for v in sizes]
+        most = max(counts, default=0)
+        rows = np.zeros((len(sizes), most), structs.BloomLevel.numpy_dtype())
+        down: list[list[np.ndarray]] = [[] for _ in range(most)]
+        up: list[list[np.ndarray]] = [[] for _ in range(most)]
+        first = 0
+        for v, (size, count) in enumerate(zip(sizes, counts, strict=True)):
+            share = weights(count, s.falloff) if count else np.zeros(0)
+            for k in range(count):
+                texel = 2 << k
+                width, height = -(-size.width // texel), -(-size.height // texel)
+                edges = [math.floor(2 * length / texel + 0.5) for length in (size.width, size.height)]
+                rows[v, k] = (first, width, height, *edges, share[k + 1 :].sum() / share[k:].sum())
+                first += width * height
+                blocks = block_grid(v, ViewSize(width, height), 8)
+                blocks[:, 3] = v * most + k
+                down[k].append(blocks)
+                if k + 1 < count:
+                    up[k].append(blocks)
+        none = [np.zeros((0, 4), np.int32)]
+        joined = [[np.concatenate(part + none) for part in table] for table in (down, up)]
+        return cls(rows.reshape(-1), most, first, *joined)
+
+
+@functools.lru_cache(maxsize=16)
+def _pyramid(sizes: tuple[ViewSize, ...], settings: Settings) -> Pyramid:
+    return Pyramid.of(sizes, settings)
+
+
+def make_bloom(resources: Resources, request: Request, layout: ViewLayout) -> structs.Bloom:
+    """Struct over bloom's buffers and settings, for its kernels and for display."""
+    settings, pyramid = request.settings.bloom, _pyramid(layout.sizes, request.settings)
+    exact, knee = settings.rung == "exact", settings.threshold * settings.knee
+    bloom = structs.Bloom()
+    bloom.texels = resources.channel("" if exact else "bloom", wp.uint64)
+    bloom.full = resources.channel("bloom" if exact else "", wp.vec3)
+    bloom.levels = wp.array(pyramid.rows, dtype=structs.BloomLevel, device=resources.device)
+    bloom.bright = resources.frame.bright
+    if bright_level(request) is None:
+        bloom.bright = wp.ones(1, dtype=wp.int32, device=resources.device)
+    bloom.level_count = pyramid.count
+    bloom.firefly = 1.0 / settings.fireflies if settings.fireflies > 0.0 else 0.0
+    bloom.threshold, bloom.knee, bloom.soft = settings.threshold, knee, 0.25 / knee if knee > 0.0 else 0.0
+    return bloom
+
+
+class BloomPass(Pass):
+    """Light scattered by the lens, exposed."""
+
+    name = "bloom"
+    doc = "scatter light around what is bright"
+    image = "read"
+    scope = "frame_end"
+    active_if = "some pixel exceeds the threshold"
+
+    def active(self, resources: Resources) -> wp.array | None:
+        """Shade's flag; display tests it too, so that nothing stale shows where the pass was skipped."""
+        return None if bright_level(self.request) is None else resources.frame.bright
+
+    def rung(self) -> str:
+        """Rung of the ladder."""
+        return self.request.settings.bloom.rung
+
+    @property
+    def pyramid(self) -> Pyramid:
+        """Levels of all views."""
+        return _pyramid(self.layout.sizes, self.request.settings)
+
+    def writes(self) -> dict[str, Buffer]:
+        """Bloom, and what only this pass sees."""
+        if self.rung() == "exact":
+            names = ("bloom", "bloom_bright", "bloom_rows")
+            return {n: Buffer(wp.vec3, max(self.layout.pixels, 1)) for n in names}
+        names = ("bloom", "bloom_bright") if self.rung() == "neighbourhood" else ("bloom",)
+        return {n: Buffer(wp.uint64, max(self.pyramid.texels, 1)) for n in names}
+
+    def prepare(self, resources: Resources) -> None:
+        """Fetch the kernels, upload the tables."""
+        settings, device = self.request.settings.bloom, resources.device
+        self.bloom = make_bloom(resources, self.request, self.layout)
+        image = make_image(resources, self.request, self.source)
+        self.radiance, self.color = image.half, image.full
+        if settings.rung == "exact":
+            self._prepare_exact(device)
+            return
+        from ..kernels import bloom as kernels
+
+        self.kernels = kernels
+        self.bright = kernels.make_bright_kernel(not float_image(self.request), settings.fireflies > 0.0)
+        self.down = [table_array(t, device) for t in self.pyramid.down]
+        self.up = [table_array(t, device) for t in self.pyramid.up]
+
+    def _prepare_exact(self, device: wp.Device) -> None:
+        """Weights of all Gaussians, out to five standard deviations, views of one height sharing theirs."""
+        from ..kernels import bloom_exact as kernels
+
+        settings = self.request.settings.bloom
+        counts = [0 if s.depth_only else level_count(s.height, settings.radius) for s in self.layout.sizes]
+        self.gaussian_count = max(counts, default=0)
+        rows = np.zeros((len(counts), self.gaussian_count), kernels.Gaussian.numpy_dtype())
+        tables, first = [], 0
+        starts = []
+        for k in range(self.gaussian_count):
+            deviation = spread(k + 1)
+            radius = math.ceil(5.0 * deviation)
+            row = np.exp(-0.5 * (np.arange(radius + 1) / deviation) ** 2)
+            tables.append(row / (2.0 * row.sum() - row[0]))
+            starts.append((first, radius))
+            first += radius + 1
+        for v, count in enumerate(counts):
+            for k, share in enumerate(weights(count, settings.falloff) if count else ()):
+                rows[v, k] = (*starts[k], share)
+        self.gaussians = wp.array(rows.reshape(-1), dtype=kernels.Gaussian, device=device)
+        self.weights = wp.array(np.concatenate([*tables, [0.0]]), dtype=wp.float32, device=device)
+        self.kernels = kernels
+        self.bright = kernels.make_bright_pixels_kernel(not float_image(self.request))
+
+    def run(self, resources: Resources) -> None:
+        """Bright parts, then down and up the pyramid, or the window, or one Gaussian after the other."""
+        if self.rung() == "exact":
+            self._run_exact(resources)
+            return
+        kernels, levels = self.kernels, self.bloom.levels
+        texels = resources.channels["bloom"]
+        if self.rung() == "neighbourhood":
+            bright, window = resources.channels["bloom_bright"], self.request.settings.bloom.window
+            self._launch(resources, self.bright, 0, [self.radiance, self.color, self.bloom], bright)
+            self._launch(resources, kernels.gather_kernel, 0, [bright, levels, window], texels)
+            return
+        self._launch(resources, self.bright, 0, [self.radiance, self.color, self.bloom], texels)
+        for k in range(1, self.pyramid.count):
+            self._launch(resources, kernels.downsample_kernel, k, [levels], texels)
+        for k in reversed(range(self.pyramid.count - 1)):
+            self._launch(resources, kernels.upsample_kernel, k, [levels], texels, up=True)
+
+    def _launch(
+        self, resources: Resources, kernel: wp.Kernel, level: int, inputs: list, out: wp.array, up: bool = False
+    ) -> None:
+        """Add a launch over the blocks of a level."""
+        blocks = self.up[level] if up else self.down[level]
+        count = len((self.pyramid.up if up else self.pyramid.down)[level])
+        resources.program.launch(
+            kernel,
+            count * 64,
+            [resources.frame.views, blocks, *inputs, FIRST],
+            [out],
+            block_dim=self.kernels.BLOCK_DIM,
+            band=64,
+        )
+
+    def _run_exact(self, resources: Resources) -> None:
+        kernels, frame, blocks = self.kernels, resources.frame, resources.blocks
+        bright, rows, out = (resources.channels[n] for n in ("bloom_bright", "bloom_rows", "bloom"))
+        count, size, block_dim = self.gaussian_count, len(self.layout.blocks) * 64, kernels.BLOCK_DIM
+
+        def launch(kernel: wp.Kernel, inputs: list, target: wp.array) -> None:
+            values = [frame.views, blocks, *inputs, FIRST]
+            resources.program.launch(kernel, size, values, [target], block_dim=block_dim, band=64)
+
+        launch(self.bright, [self.radiance, self.color, self.bloom], bright)
+        for k in range(count):
+            launch(kernels.blur_rows_kernel, [bright, self.gaussians, self.weights, count, k], rows)
+            launch(kernels.blur_columns_kernel, [rows, self.gaussians, self.weights, count, k], out)
+
+    def bytes_moved(self) -> int:
+        """Radiance in; each level down and up once, or each Gaussian's rows and columns."""
+        pixels, image = self.layout.pixels, image_bytes(self.request)
+        if self.rung() == "exact":
+            most = max(
+                (level_count(s.height, self.request.settings.bloom.radius) for s in self.layout.sizes), default=0
+            )
+            return pixels * (image + 12 + most * 60)
+        return pixels * image + 8 * self.pyramid.texels * (3 if self.rung() == "neighbourhood" else 4)
