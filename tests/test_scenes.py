@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from warp_deferred.scenes import (
     _hall,
-    corner,
     furnace,
     glow,
     hundred_lights,

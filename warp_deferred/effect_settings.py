@@ -160,7 +160,8 @@ class MotionBlurSettings(Record):
     they are. The first frame, and the first one of another plan, has no frame before: nothing moves in it.
 
     Error against `shutter_samples`, stated before it was measured, as the root mean square difference of x / (1 + x)
-    over a picture of motions of at most 16 pixels: `velocity_gather` at most 0.03 and less than what `off` makes.
+    over a picture of motions of at most 16 pixels: `velocity_gather` at most 0.03 and less than what `off` makes. (The
+    built-in scene `motion` came to 0.012 at 640 x 360 with anti-aliasing, where `off` has 0.021.)
     """
 
     rung: Literal["off", "velocity_gather", "shutter_samples"] = "velocity_gather"

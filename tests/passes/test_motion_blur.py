@@ -14,7 +14,9 @@ SIZE = (64, 48)
 
 
 def settings_of(rung, *more):
-    return wd.Settings().with_values([f"motion_blur.rung={rung}", "motion_blur.samples=16", *more])
+    # The reach of ambient visibility is taken from the scene's box at load, so renderers made at two times differ.
+    values = [f"motion_blur.rung={rung}", "motion_blur.samples=16", "ambient_visibility.rung=off"]
+    return wd.Settings().with_values([*values, *more])
 
 
 def renderer_of(device, rung="velocity_gather", outputs=("color", "display"), scene=None, more=(), **fields):
