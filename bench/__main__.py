@@ -54,7 +54,7 @@ def _measure(
 
     # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
     wp.config.log_level = wp.LOG_WARNING
-    changes = [*(SPINE if name != "effects" else ()), *(sets or ())]
+    changes = [*(SPINE if name not in ("effects", "effect_images") else ()), *(sets or ())]
     settings = Settings().with_values(changes)
     try:
         chosen = wp.get_device(device)
@@ -146,6 +146,38 @@ def frame(
 
 
 @app.command()
+def effects(
+    device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
+) -> None:
+    """What each rung of each effect costs and how far it is from its reference; frames with several effects."""
+    _bench("effects", device, json, plot, quick, set_)
+
+
+@app.command(name="effects-images")
+def effects_images(
+    out: Annotated[str, typer.Option("--out", "-o", metavar="DIR", help="Folder for the strips.")] = "docs/images",
+    device: Device = "cuda:0",
+    quick: Quick = False,
+    set_: Sets = None,
+) -> None:
+    """Write the rungs of each effect side by side, for docs/effects.md."""
+    _pictures("effect_images", out, device, quick, set_)
+
+
+def _pictures(name: str, out: str, device: str, quick: bool, sets: list[str] | None) -> None:
+    """Run a bench that writes pictures into a folder."""
+    import importlib
+
+    bench = importlib.import_module(f"{__package__}.{name}")
+
+    def run(chosen: Any, **options: Any) -> dict[str, Any]:
+        return {"rows": bench.run(chosen, Path(out), **options)}
+
+    for path in _measure(name, run, device, quick, sets)["rows"]:
+        typer.echo(f"wrote {path}")
+
+
+@app.command()
 def host(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
@@ -160,13 +192,7 @@ def preview(
     quick: Quick = False,
 ) -> None:
     """Write a picture of every case that is timed."""
-    from . import preview as bench
-
-    def run(chosen: Any, **options: Any) -> dict[str, Any]:
-        return {"rows": bench.run(chosen, Path(out), **options)}
-
-    for name in _measure("preview", run, device, quick, None)["rows"]:
-        typer.echo(f"wrote {name}")
+    _pictures("preview", out, device, quick, None)
 
 
 @app.command()

@@ -221,6 +221,10 @@ class FrameCase:
     width: int
     height: int
 
+    def build(self) -> Scene:
+        """Build the scene."""
+        return load(self.source)
+
 
 def frame_cases(device_is_cuda: bool, *, quick: bool = False, huge: bool = False) -> tuple[FrameCase, ...]:
     """List the frames that are timed on a kind of device."""

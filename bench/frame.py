@@ -6,14 +6,14 @@ from typing import Any
 
 import warp as wp
 
-from warp_deferred import Settings, load
+from warp_deferred import Settings
 
 from .cases import FrameCase, frame_cases
 from .probe import bytes_by_pass, lit_lights, open_scene, plan_of, raster_counts
 from .record import Record
 from .timing import REPEATS, copy_bandwidth, sample_sections, time_passes, time_program
 
-__all__ = ["pass_names", "run"]
+__all__ = ["floor", "frame_row", "pass_names", "run"]
 
 
 def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, huge: bool = False) -> Record:
@@ -35,12 +35,21 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, huge: 
     rows = []
     for case in frame_cases(device.is_cuda, quick=quick, huge=huge):
         note(case.title)
-        rows.append(_row(case, device, settings, bandwidth, 5 if quick else REPEATS))
+        rows.append(frame_row(case, device, settings, bandwidth, 5 if quick else REPEATS))
     return {"copy_bytes_per_s": round(bandwidth), "rows": rows}
 
 
-def _row(case: FrameCase, device: wp.Device, settings: Settings, bandwidth: float, repeats: int) -> dict[str, Any]:
-    scene, size = load(case.source), (case.width, case.height)
+def frame_row(case: FrameCase, device: wp.Device, settings: Settings, bandwidth: float, repeats: int) -> dict[str, Any]:
+    """Time one frame and its passes.
+
+    Args:
+        case: The frame.
+        device: Where to run.
+        settings: Settings.
+        bandwidth: Bytes a second of a copy, for the floors.
+        repeats: Measurements of each figure.
+    """
+    scene, size = case.build(), (case.width, case.height)
     row: dict[str, Any] = {
         "case": case.name, "title": case.title, "source": case.source, "width": case.width, "height": case.height,
         "triangles": scene.triangle_count, "lights": len(scene.lights),
@@ -52,22 +61,23 @@ def _row(case: FrameCase, device: wp.Device, settings: Settings, bandwidth: floa
     whole = time_program(program, repeats=repeats)
     moved = bytes_by_pass(plan)
     frame_bytes = sum(report.bytes or 0 for report in plan.reports(measure=False) if report.runs)
-    row |= whole.metrics("frame") | _floor("frame", whole.median, frame_bytes, bandwidth)
+    row |= whole.metrics("frame") | floor("frame", whole.median, frame_bytes, bandwidth)
     if sample := sample_sections(program):
         row |= {"samples": program.samples} | time_program(program, sample, repeats=repeats).metrics("sample")
     passes = time_passes(program, repeats=repeats)
     for name, timing in passes.items():
-        row |= timing.metrics(f"pass.{name}") | _floor(f"pass.{name}", timing.median, moved[name], bandwidth)
+        row |= timing.metrics(f"pass.{name}") | floor(f"pass.{name}", timing.median, moved[name], bandwidth)
     row["passes.sum_ms"] = round(sum(t.median for t in passes.values()), 5)
     memory = renderer.memory_report()
     row |= {"memory.bytes": memory.total, "scene.bytes": memory.scene}
     return row | raster_counts(plan)
 
 
-def _floor(name: str, milliseconds: float, moved: int, bandwidth: float) -> dict[str, float]:
-    floor = moved / bandwidth * 1e3
-    row: dict[str, float] = {f"{name}.bytes": moved, f"{name}.floor_ms": round(floor, 6)}
-    return row | ({f"{name}.times_floor": round(milliseconds / floor, 2)} if floor > 0.0 else {})
+def floor(name: str, milliseconds: float, moved: int, bandwidth: float) -> dict[str, float]:
+    """Metrics of a memory floor: `name.bytes`, `name.floor_ms` and, unless that is 0, `name.times_floor`."""
+    least = moved / bandwidth * 1e3
+    row: dict[str, float] = {f"{name}.bytes": moved, f"{name}.floor_ms": round(least, 6)}
+    return row | ({f"{name}.times_floor": round(milliseconds / least, 2)} if least > 0.0 else {})
 
 
 def pass_names(row: dict[str, Any]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_deferred import Renderer, Scene, Settings, load
+from warp_deferred import Renderer, Scene, Settings
 from warp_deferred.images import write_png
 
 from .cases import RESOLUTIONS, TRIANGLE_CASES, frame_cases, many_lights
@@ -43,7 +43,7 @@ def run(device: wp.Device, out: Path, *, quick: bool, settings: Settings, note: 
         paths.append(_write(out / f"triangles_{case.name}.png", picture))
     for case in frame_cases(device.is_cuda, quick=quick):
         note(case.title)
-        frame = _renderer(load(case.source), (case.width, case.height), device, ("display",), settings).render()
+        frame = _renderer(case.build(), (case.width, case.height), device, ("display",), settings).render()
         paths.append(_write(out / f"frame_{case.name}.png", frame.numpy("display")[0]))
     for lights in (10,) if quick else (10, 1000, 10_000):
         note(f"{lights:,} lights")

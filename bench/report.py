@@ -1,6 +1,6 @@
-"""Writes the tables and plots of docs/benchmarks.md and README.md from bench/results/*.json. No number is typed.
+"""Writes tables and plots of docs/benchmarks.md, docs/effects.md and README.md from bench/results/*.json.
 
-A result's file name is its key: `frame.json` fills `<!-- bench:frame -->`, `frame_cpu.json` fills
+No number is typed. A result's file name is its key: `frame.json` fills `<!-- bench:frame -->`, `frame_cpu.json` fills
 `<!-- bench:frame_cpu -->`. The same results give the same files.
 """
 
@@ -12,12 +12,14 @@ from pathlib import Path
 from warp_deferred.errors import LoadError
 
 from . import record, tables
+from .effect_page import effects_page
 
 __all__ = ["MARKER", "fill", "run"]
 
 MARKER = re.compile(r"(<!-- bench:([\w-]+) -->\n).*?(<!-- /bench -->)", re.DOTALL)
 OPENING = re.compile(r"<!-- bench:([\w-]+) -->")
 RESULTS, PAGE, IMAGES = Path("bench/results"), Path("docs/benchmarks.md"), Path("docs/images")
+EFFECTS_PAGE = Path("docs/effects.md")
 #: Bench -> heading and what its table shows; the order of the page.
 SECTIONS = {
     "frame": (
@@ -37,6 +39,11 @@ SECTIONS = {
         "mean is counted again in the rendered picture.",
     ),
     "tiles": ("Light tiles", "The same scene by the side of a screen tile, the number of lights and the resolution."),
+    "effects": (
+        "Effects",
+        "Each rung of each effect on the scene that shows it, beside the same frame with rung `off`; pictures are in "
+        "[effects.md](effects.md).",
+    ),
     "host": (
         "Host time",
         "What a call of `render` costs the thread that makes it: no figure waits for the device inside the clock, and "
@@ -81,6 +88,8 @@ def run(root: Path, *, check: bool = False) -> list[Path]:
                 f"{folder / name}.json: expected a bench among {', '.join(SECTIONS)}, got {result['bench']!r}"
             )
     texts = {root / PAGE: _page(records)}
+    if effects := {name: result for name, result in records.items() if result["bench"] == "effects"}:
+        texts[root / EFFECTS_PAGE] = effects_page(effects, root / IMAGES)
     readme = root / "README.md"
     if readme.exists():
         texts[readme] = fill(readme.read_text(encoding="utf-8"), records, str(readme))

@@ -2,54 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from typing import Any
 
+from .effect_tables import effects_table
 from .frame import pass_names
+from .layout import count_text, markdown, megabytes, milliseconds, spread, verdict
 from .record import Record
 from .targets import FRAME_TARGETS, HOST_TARGET_US, LIGHT_TARGETS_MS, TRIANGLE_QUOTES
 
-__all__ = ["full_table", "milliseconds", "provenance", "short_table"]
+__all__ = ["frames_table", "full_table", "milliseconds", "provenance", "short_table"]
 
 Row = dict[str, Any]
-
-
-def milliseconds(value: float) -> str:
-    """Three significant digits, no exponent, nothing below a nanosecond."""
-    if value == 0.0:
-        return "0"
-    # Rounded before counting, so that 0.09996 is 0.100 and not 0.1000.
-    exponent = math.floor(math.log10(abs(float(f"{value:.2e}"))))
-    return f"{value:,.{min(max(2 - exponent, 0), 6)}f}"
-
-
-def _spread(row: Row, name: str) -> str:
-    low, high = milliseconds(row[f"{name}.ms_p5"]), milliseconds(row[f"{name}.ms_p95"])
-    return f"{low} to {high}" if low != high else low
-
-
-def _megabytes(count: float) -> str:
-    return f"{count / 1e6:,.1f} MB" if count >= 1e5 else f"{count / 1e3:,.1f} kB"
-
-
-def _count(value: float) -> str:
-    return f"{value:,}".replace(",", " ") if isinstance(value, int) else f"{value:g}"
-
-
-def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Lay out a table; a column whose title starts with '>' is aligned right."""
-    titles = [c.lstrip(">") for c in columns]
-    rules = ["---:" if c.startswith(">") else "---" for c in columns]
-    return "\n".join("| " + " | ".join(line) + " |" for line in (titles, rules, *rows))
-
-
-def _verdict(record: Record, value: float, limit: float | None) -> str:
-    """The limit, and whether it holds where the result is of a machine the limit is stated for."""
-    if limit is None:
-        return ""
-    stated = "H200" in record["device"] or record["device"].startswith("CPU, 2 cores")
-    return f"≤ {limit:g}" + (f" {'✓' if value <= limit else '✗'}" if stated and not record["quick"] else "")
 
 
 def provenance(record: Record) -> str:
@@ -82,16 +45,16 @@ def _triangles(record: Record, full: bool = True) -> str:
         quote = TRIANGLE_QUOTES[row["case"]]
         line = [row["title"], f"**{milliseconds(row['total.ms'])}**"]
         if full:
-            line += [_spread(row, "total"), milliseconds(row["raster.ms"]), f"{row['times_floor']:.1f} x"]
-        line.append(_verdict(record, row["total.ms"], quote.must_reach))
+            line += [spread(row, "total"), milliseconds(row["raster.ms"]), f"{row['times_floor']:.1f} x"]
+        line.append(verdict(record, row["total.ms"], quote.must_reach))
         quoted = (quote.one_path, quote.two_paths, quote.nvdiffrast, quote.opengl)
         line += ["" if q is None else f"{q:g}" for q in quoted]
         if full:
             for name in ("large_triangles", "bin_entries"):
-                line.append(_count(row[f"raster.{name}"]) if f"raster.{name}" in row else "")
+                line.append(count_text(row[f"raster.{name}"]) if f"raster.{name}" in row else "")
         rows.append(line)
     note = "\\* quoted: measured earlier on one H200, with prototypes and with the other programs, not in this run."
-    return f"{_markdown(columns, rows)}\n\n{note}"
+    return f"{markdown(columns, rows)}\n\n{note}"
 
 
 def _tiles(record: Record, full: bool = True) -> str:
@@ -108,9 +71,9 @@ def _tiles(record: Record, full: bool = True) -> str:
         for lights in dict.fromkeys(r["lights"] for r in of_name):
             cells = {r["tile_size"]: r for r in of_name if r["lights"] == lights}
             best = min(cells, key=lambda s: cells[s]["total.ms"])
-            lines.append([_count(lights)] + [_tile_cell(cells[s], s == best) if s in cells else "" for s in sizes])
+            lines.append([count_text(lights)] + [_tile_cell(cells[s], s == best) if s in cells else "" for s in sizes])
         size = f"{of_name[0]['width']}x{of_name[0]['height']}"
-        parts.append(f"{size}, by side of a tile:\n\n{_markdown(columns, lines)}")
+        parts.append(f"{size}, by side of a tile:\n\n{markdown(columns, lines)}")
     legend = "Total ms (culling + shading), then lights a tile considers: mean, most. The best of a row is bold."
     return "\n\n".join([*parts, legend])
 
@@ -130,58 +93,59 @@ def _lights(record: Record) -> str:
     rows = []
     for row in record["rows"]:
         rows.append([
-            _count(row["lights"]), f"{row['mean']:g}", f"{row['lit.mean']:.1f}", str(row["lit.max"]),
+            count_text(row["lights"]), f"{row['mean']:g}", f"{row['lit.mean']:.1f}", str(row["lit.max"]),
             milliseconds(row["light_culling.ms"]), milliseconds(row["shade.ms"]),
-            f"**{milliseconds(row['total.ms'])}**", _spread(row, "total"),
-            _verdict(record, row["total.ms"], LIGHT_TARGETS_MS.get((row["lights"], int(row["mean"])))),
+            f"**{milliseconds(row['total.ms'])}**", spread(row, "total"),
+            verdict(record, row["total.ms"], LIGHT_TARGETS_MS.get((row["lights"], int(row["mean"])))),
             milliseconds(row["brute_force.ms"]) if "brute_force.ms" in row else "",
         ])  # fmt: skip
     note = "Total: staging, culling and shading as one graph; brute force: the same with every light everywhere."
-    return f"{_markdown(columns, rows)}\n\n{note}\n\n\\* on one H200 at 1920x1080."
+    return f"{markdown(columns, rows)}\n\n{note}\n\n\\* on one H200 at 1920x1080."
 
 
-def _frames(record: Record) -> str:
+def frames_table(record: Record) -> str:
+    """Whole frames, one a line."""
     columns = ["frame", ">ms", ">5 % to 95 %", ">must reach*", ">of memory floor", ">lit lights", ">memory", ">scene"]
     rows = []
     for row in record["rows"]:
         target = FRAME_TARGETS.get(row["case"])
         rows.append([
-            row["title"], f"**{milliseconds(row['frame.ms'])}**", _spread(row, "frame"),
-            _verdict(record, row["frame.ms"], target.ms if target else None), f"{row['frame.times_floor']:.1f} x",
-            f"{row['lit.mean']:.1f}", _memory(record, row), _megabytes(row["scene.bytes"]),
+            row["title"], f"**{milliseconds(row['frame.ms'])}**", spread(row, "frame"),
+            verdict(record, row["frame.ms"], target.ms if target else None), f"{row['frame.times_floor']:.1f} x",
+            f"{row['lit.mean']:.1f}", _memory(record, row), megabytes(row["scene.bytes"]),
         ])  # fmt: skip
     note = "Lit lights: mean at a pixel with a surface. Memory: on the device, beside the scene."
     stated = "\\* on the machine the figure is stated for: one H200, or two CPU cores."
-    return f"{_markdown(columns, rows)}\n\n{note}\n\n{stated}"
+    return f"{markdown(columns, rows)}\n\n{note}\n\n{stated}"
 
 
 def _memory(record: Record, row: Row) -> str:
     target = FRAME_TARGETS.get(row["case"])
-    text = _megabytes(row["memory.bytes"])
+    text = megabytes(row["memory.bytes"])
     if target is None or target.memory_bytes is None:
         return text
-    return f"{text} ({_verdict(record, row['memory.bytes'] / 1e6, target.memory_bytes / 1e6)})"
+    return f"{text} ({verdict(record, row['memory.bytes'] / 1e6, target.memory_bytes / 1e6)})"
 
 
 def _frame(record: Record) -> str:
-    parts = [_frames(record)]
+    parts = [frames_table(record)]
     columns = ["pass", ">ms", ">5 % to 95 %", ">moved", ">floor ms", ">of floor"]
     for row in record["rows"]:
         lines = [_pass_line(row, f"pass.{name}", f"`{name}`") for name in pass_names(row)]
         lines.append(["sum of passes", milliseconds(row["passes.sum_ms"]), "", "", "", ""])
         lines.append(_pass_line(row, "frame", "**whole frame**"))
-        triangles, lights = _count(row["triangles"]), _count(row["lights"])
+        triangles, lights = count_text(row["triangles"]), count_text(row["lights"])
         heading = (
             f"**{row['title']}** ({triangles} triangles, {lights} lights, {row['coverage']:.0%} of the picture covered)"
         )
-        parts.append(f"{heading}\n\n{_markdown(columns, lines)}")
+        parts.append(f"{heading}\n\n{markdown(columns, lines)}")
     return "\n\n".join(parts)
 
 
 def _pass_line(row: Row, key: str, label: str) -> list[str]:
     factor = f"{row[f'{key}.times_floor']:.1f} x" if f"{key}.times_floor" in row else ""
     return [
-        label, milliseconds(row[f"{key}.ms"]), _spread(row, key), _megabytes(row[f"{key}.bytes"]),
+        label, milliseconds(row[f"{key}.ms"]), spread(row, key), megabytes(row[f"{key}.bytes"]),
         milliseconds(row[f"{key}.floor_ms"]), factor,
     ]  # fmt: skip
 
@@ -192,14 +156,21 @@ def _host(record: Record) -> str:
         low, high = f"{row['host.us_p5']:,.1f}", f"{row['host.us_p95']:,.1f}"
         target = HOST_TARGET_US if row["figure"] == "render" and not record["device"].startswith("CPU") else None
         rows.append(
-            [row["text"], f"**{row['host.us']:,.1f}**", f"{low} to {high}", _verdict(record, row["host.us"], target)]
+            [row["text"], f"**{row['host.us']:,.1f}**", f"{low} to {high}", verdict(record, row["host.us"], target)]
         )
-    return _markdown(["figure", ">median µs", ">5 % to 95 %", ">must reach"], rows)
+    return markdown(["figure", ">median µs", ">5 % to 95 %", ">must reach"], rows)
 
 
-_FULL = {"triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host}
+def _effects(record: Record) -> str:
+    frames = [row for row in record["rows"] if row["kind"] == "frame"]
+    return "\n\n".join([effects_table(record)] + [_frame(record | {"rows": frames})] * bool(frames))
+
+
+_FULL = {
+    "triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host, "effects": _effects,
+}  # fmt: skip
 _SHORT = {
     "triangles": lambda record: _triangles(record, full=False),
     "tiles": lambda record: _tiles(record, full=False),
-    "frame": _frames,
+    "frame": frames_table,
 }

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 import dataclasses
 
-__all__ = ["FRAME_TARGETS", "HOST_TARGET_US", "LIGHT_TARGETS_MS", "TRIANGLE_QUOTES", "FrameTarget", "TriangleQuote"]
+__all__ = [
+    "EFFECT_TARGETS_MS", "FRAME_TARGETS", "HOST_TARGET_US", "LIGHT_TARGETS_MS", "SKIPPED_TARGET_MS", "TRIANGLE_QUOTES",
+    "FrameTarget", "TriangleQuote",
+]  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,4 +57,20 @@ class FrameTarget:
     memory_bytes: int | None = None
 
 
-FRAME_TARGETS = {"terrain_1080p": FrameTarget(0.42, 250_000_000), "terrain_360p": FrameTarget(60.0)}
+FRAME_TARGETS = {
+    "terrain_1080p": FrameTarget(0.42, 250_000_000),
+    "terrain_360p": FrameTarget(60.0),
+    "composite_1080p": FrameTarget(0.90),
+    "composite_4k": FrameTarget(2.5),
+    "shadowed_points_1080p": FrameTarget(1.2),
+}
+#: (effect, rung) -> most milliseconds it may add to its frame at 1920x1080.
+EFFECT_TARGETS_MS = {
+    ("ambient_visibility", "gtao"): 0.12,
+    ("ambient_visibility", "gtao_half"): 0.05,
+    ("bloom", "mip_chain"): 0.05,
+    ("depth_of_field", "gather"): 0.2,
+    ("anti_aliasing", "fxaa"): 0.03,
+}
+#: Most milliseconds an effect may cost that is in the plan and skipped on the device.
+SKIPPED_TARGET_MS = 0.010

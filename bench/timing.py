@@ -21,7 +21,8 @@ from warp_deferred.checks import check_choice, check_count, input_error
 from warp_deferred.program import SAMPLE, Program
 
 __all__ = [
-    "REPEATS", "Timing", "copy_bandwidth", "run_until", "sample_sections", "time_calls", "time_passes", "time_program",
+    "REPEATS", "Timing", "copy_bandwidth", "run_until", "sample_sections", "time_calls", "time_moving",
+    "time_passes", "time_program",
 ]  # fmt: skip
 
 REPEATS = 50
@@ -33,6 +34,10 @@ MAX_BATCH = 20
 #: Seconds after which a measurement on the CPU stops, once it has `MIN_REPEATS`.
 CPU_BUDGET_S = 10.0
 MIN_REPEATS = 3
+#: Calls before the first that counts, in `time_moving`.
+WARM_CALLS = 2
+#: Copies that keep a device busy while the host queues a frame: some milliseconds of them.
+BUSY_BYTES, BUSY_COPIES = 1 << 28, 48
 
 
 @dataclasses.dataclass(frozen=True)
@@ -199,6 +204,42 @@ def time_calls(device: wp.Device, call: Callable[[int], Any], count: int, *, ahe
         if ahead is not None and (k + 1) % ahead == 0:
             wp.synchronize_device(device)
     wp.synchronize_device(device)
+    return Timing.of(values)
+
+
+def time_moving(device: wp.Device, call: Callable[[int], Any], repeats: int = REPEATS) -> Timing:
+    """Time frames each of which differs from the one before, uploads included: device time, wall-clock on the CPU [ms].
+
+    On CUDA the device is kept busy with copies while the host queues the frame, so that it never waits for the host
+    between the two events.
+
+    Args:
+        device: Device the calls queue work on.
+        call: Function of the call's number, which moves the scene and renders it.
+        repeats: Measurements.
+    """
+    check_count("time_moving.repeats", repeats, 1, 100_000)
+    values: list[float] = []
+    block = wp.zeros(BUSY_BYTES if device.is_cuda else 1, dtype=wp.uint8, device=device)
+    other = wp.empty_like(block)
+    events = [wp.Event(device, enable_timing=True) for _ in range(2)] if device.is_cuda else []
+    started = time.perf_counter()
+    for k in range(repeats + WARM_CALLS):
+        if events:
+            for _ in range(BUSY_COPIES):
+                wp.copy(other, block)
+            wp.record_event(events[0])
+        begun = time.perf_counter()
+        call(k)
+        value = (time.perf_counter() - begun) * 1e3
+        if events:
+            wp.record_event(events[1])
+            wp.synchronize_device(device)
+            value = wp.get_event_elapsed_time(*events)
+        if k >= WARM_CALLS:
+            values.append(value)
+        if device.is_cpu and len(values) >= MIN_REPEATS and time.perf_counter() - started > CPU_BUDGET_S:
+            break
     return Timing.of(values)
 
 

@@ -19,7 +19,7 @@ from warp_deferred.scene import Environment, Mesh, Scene
 
 from ._reach import drift, range_for_mean, set_drift
 
-__all__ = ["animate", "build"]
+__all__ = ["animate", "build", "height", "net"]
 
 #: Colours of the scattered lights, linear: mostly warm, so that the few cool ones carry the eye.
 PALETTE = np.array([[1.0, 0.62, 0.28], [1.0, 0.42, 0.16], [1.0, 0.80, 0.52], [0.22, 0.65, 1.0], [0.9, 0.22, 0.55]])
@@ -36,7 +36,7 @@ def height(x: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
     return y, slope_x, slope_z
 
 
-def _net(side: int) -> Mesh:
+def net(side: int) -> Mesh:
     """Mesh of side x side vertices, rows along z, so that neighbours in memory are neighbours in space."""
     line = np.linspace(-10.0, 10.0, side)
     x, z = np.meshgrid(line, line)
@@ -80,7 +80,7 @@ def build(*, triangles: int = 500_000, lights: int = 0, seed: int = 0, mean: flo
     scene = Scene("terrain")
     scene.animate = animate
     scene.add(
-        _net(round(math.sqrt(triangles / 2)) + 1),
+        net(round(math.sqrt(triangles / 2)) + 1),
         material=Material(model="lambert", base_color=(0.34, 0.40, 0.22, 1.0), name="meadow"),
     )
     camera = Camera.look_at((0.0, 3.0, 9.0), (0.0, 0.0, 0.0), vertical_fov_deg=60.0, near=0.05)

@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from warp_deferred.scenes import (
     _hall,
+    fullscreen_spots,
     furnace,
     glow,
     hundred_lights,
     lambert_plane,
     many_lights,
     shapes,
+    spheres_50k,
     terrain,
+    terrain_400k,
 )
 from warp_deferred.scenes._reach import PERIOD, camera_rays, range_for_mean
 
@@ -29,15 +32,18 @@ FULL = Settings(gbuffer=GBufferSettings(rung="full"), shade=ShadeSettings(radian
 SMALL = {
     "corner": "corner",
     "focus": "focus",
+    "fullscreen_spots": "fullscreen_spots",
     "furnace": "furnace",
     "glow": "glow",
     "hundred_lights": "hundred_lights",
     "lambert_plane": "lambert_plane",
     "motion": "motion",
     "many_lights": "many_lights?lights=200&triangles=6000",
+    "spheres_50k": "spheres_50k",
     "terrain": "terrain?triangles=5000&lights=100",
+    "terrain_400k": "terrain_400k?triangles=5000",
 }
-MOVING = ("hundred_lights", "many_lights", "terrain")
+MOVING = ("fullscreen_spots", "hundred_lights", "many_lights", "spheres_50k", "terrain", "terrain_400k")
 CLOSED = {
     "box": (shapes.box(1.0, 2.0, 3.0, cells=3), 6.0),
     "bevelled_box": (shapes.bevelled_box(1.0, 2.0, 3.0, 0.1), 6.0),
@@ -165,7 +171,7 @@ def test_hundred_lights_has_a_hundred_and_ninety_eight():
 @pytest.mark.parametrize("name", MOVING)
 def test_animation_moves_every_light_keeps_counts_and_comes_back(name):
     scene = load(SMALL[name])
-    period = hundred_lights.PERIOD if name == "hundred_lights" else PERIOD
+    period = getattr(importlib.import_module(f"warp_deferred.scenes.{name}"), "PERIOD", PERIOD)
     structure = scene.structure_revision, scene.lights.structure_revision
     start = light_state(scene)
     scene.animate(scene, 2.7)
@@ -204,7 +210,7 @@ def test_a_scene_that_moves_is_let_go(name):
 
 
 def test_animating_a_foreign_scene_says_whose_it_must_be():
-    for module in (hundred_lights, many_lights):
+    for module in (fullscreen_spots, hundred_lights, many_lights, spheres_50k, terrain_400k):
         with pytest.raises(InputError, match="build"):
             module.animate(wd.Scene(), 0.0)
 
@@ -225,6 +231,10 @@ def test_animating_a_foreign_scene_says_whose_it_must_be():
         ("glow?bloom=2", "glow.bloom"),
         ("hundred_lights?brightness=-2", "hundred_lights.brightness"),
         ("hundred_lights?sede=2", "did you mean 'seed'"),
+        ("spheres_50k?lights=spots", "did you mean 'spot'"),
+        ("spheres_50k?casts_shadow=2", "spheres_50k.casts_shadow"),
+        ("terrain_400k?sun=-1", "terrain_400k.sun"),
+        ("fullscreen_spots?intensity=inf", "fullscreen_spots.intensity"),
     ],
 )
 def test_bad_parameters_are_named(name, message):
@@ -370,3 +380,50 @@ def test_every_emitter_of_the_glow_is_above_white_and_lights_its_surroundings():
             assert np.linalg.norm(lights - place, axis=1).min() < 0.6
     dark = glow.build(brightness=0.0)
     assert not any(max(i.material.emissive) for i in dark.instances) and not dark.lights.point.intensity.any()
+
+
+@pytest.mark.parametrize("kind", ["point", "spot"])
+def test_fifty_thousand_triangles_of_spheres_rest_on_the_floor_or_above_it(kind):
+    scene = load(f"spheres_50k?lights={kind}")
+    counts = {name: len(group) for name, group in scene.lights.groups()}
+    assert scene.triangle_count == 50_000 and counts == {"point": 0, "spot": 0, "directional": 0} | {kind: 4}
+    assert scene.lights.casts_shadow and not load(f"spheres_50k?lights={kind}&casts_shadow=false").lights.casts_shadow
+    for time in (0.0, 1.3, 4.7):
+        scene.animate(scene, time)
+        balls = np.array([i.transform for i in scene.instances if i.mesh.name in ("pearl", "ball")])
+        # The pearl's mesh has its radius, the balls' are in their transforms.
+        radius = np.append(spheres_50k.PEARL, np.linalg.norm(balls[1:, :3, 0], axis=1))
+        centre = balls[:, :3, 3]
+        assert (centre[:, 1] - radius).min() > -1e-5
+        apart = np.linalg.norm(centre[:, None] - centre[None], axis=-1) - radius[:, None] - radius[None]
+        assert apart[~np.eye(len(balls), dtype=bool)].min() > 0.0, "balls do not touch"
+
+
+def test_four_lights_of_either_kind_light_most_of_the_spheres():
+    for kind in ("point", "spot"):
+        scene = load(f"spheres_50k?lights={kind}")
+        frame = wd.Renderer(scene, width=160, height=90, device="cpu", outputs=("light_count", "semantic_id")).render()
+        lit = frame.numpy("light_count")[frame.numpy("semantic_id") > 0]
+        assert (lit > 0).mean() > 0.8 and lit.max() == 4
+
+
+def test_terrain_400k_has_its_triangles_and_a_lamp_above_the_ground():
+    scene = terrain_400k.build()
+    assert abs(scene.triangle_count - 400_000) < 1500
+    assert [len(group) for _, group in scene.lights.groups()] == [1, 0, 1] and scene.lights.casts_shadow
+    for time in (0.0, 3.0, 9.5):
+        scene.animate(scene, time)
+        x, y, z = scene.lights.point.position[0]
+        assert y - terrain.height(x, z)[0] == pytest.approx(terrain_400k.ABOVE)
+        assert np.allclose(scene.instances[1].transform[:3, 3], (x, y, z))
+
+
+@pytest.mark.parametrize("time", [0.0, 4.0])
+def test_five_spots_each_light_every_pixel_of_the_square(time):
+    scene = fullscreen_spots.build()
+    scene.animate(scene, time)
+    frame = wd.Renderer(scene, width=600, height=600, device="cpu", outputs=("light_count", "normal")).render()
+    assert (frame.numpy("light_count") == 5).all()
+    normal = frame.numpy("normal")[0]
+    slope = np.hypot(normal[..., 0], normal[..., 1]) / normal[..., 2]
+    assert 0.3 < slope.max() <= fullscreen_spots.STEEPEST + 0.01

@@ -1,0 +1,170 @@
+"""What `effects` times, frozen: each effect on the scene that shows it, and whole frames with several of them.
+
+A case says how to take back what calls for its effect, so that the price of not calling for it can be measured, and
+how to leave the effect in the plan with nothing to do on the device. Effects themselves are not listed here: they are
+found in `Settings`, and one without a case, or a case whose scene is not there, is reported by name.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from collections.abc import Callable
+
+import numpy as np
+
+from warp_deferred import Camera, DirectionalLight, Environment, Scene, Settings, effect_settings, load
+
+from .cases import FrameCase
+
+__all__ = ["EFFECT_CASES", "QUICK_SIZE", "CompositeCase", "EffectCase", "case_size", "composite_cases", "ladders"]
+
+QUICK_SIZE = (64, 36)
+
+
+def ladders() -> dict[str, tuple[str, ...]]:
+    """Rungs of every effect there is, by its name: `off` first, the reference last."""
+    found = {}
+    for name, field in Settings.model_fields.items():
+        kind = field.annotation
+        if getattr(kind, "__module__", "") == effect_settings.__name__ and "rung" in kind.model_fields:
+            rungs = typing.get_args(kind.model_fields["rung"].annotation)
+            if rungs and rungs[0] == "off":
+                found[name] = rungs
+    return found
+
+
+def _lens(**fields: float) -> Callable[[Scene], None]:
+    def change(scene: Scene) -> None:
+        scene.camera = (scene.camera or Camera()).replace(**fields)
+
+    return change
+
+
+def _no_ambient(scene: Scene) -> None:
+    scene.environment = Environment(ambient=(0.0, 0.0, 0.0), background=scene.environment.background)
+
+
+def _cast(scene: Scene, casts: bool) -> None:
+    for _, group in scene.lights.groups():
+        if len(group):
+            group.casts_shadow = np.full(len(group), casts)
+
+
+@dataclasses.dataclass(frozen=True)
+class EffectCase:
+    """An effect on its own scene.
+
+    Attributes:
+        effect: Its name in `Settings`.
+        source: Built-in scene with its parameters, which calls for it.
+        small: The same in few triangles, for quick runs; `source` if left out.
+        free: Takes back what calls for it; None where only its rung does.
+        idle: Leaves it called for with nothing to do on the device; None where nothing is decided there.
+        settings: Settings in force at every rung, as on the command line.
+        small_settings: More of them, for quick runs.
+        moving: Whether the scene must move from frame to frame for the effect to have work.
+        size: Size of the picture a strip is cut from [px].
+        centre: Middle of the cut, as shares of width and height.
+        zoom: How large one pixel is shown in a strip [px].
+    """
+
+    effect: str
+    source: str
+    small: str = ""
+    free: Callable[[Scene], None] | None = None
+    idle: Callable[[Scene], None] | None = None
+    settings: tuple[str, ...] = ()
+    small_settings: tuple[str, ...] = ()
+    moving: bool = False
+    size: tuple[int, int] = (480, 270)
+    centre: tuple[float, float] = (0.5, 0.5)
+    zoom: int = 1
+
+
+#: The case of each effect, in the order of the page.
+EFFECT_CASES: dict[str, EffectCase] = {
+    case.effect: case
+    for case in (
+        # Frames are replayed: maps that are kept where nothing moves would never be drawn.
+        EffectCase(
+            "shadow",
+            "shadows",
+            free=lambda scene: _cast(scene, False),
+            settings=("shadow.keep_maps=false",),
+            small_settings=("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128"),
+            size=(720, 405),
+            centre=(0.56, 0.45),
+        ),
+        EffectCase("ambient_visibility", "corner", free=_no_ambient),
+        # Twenty stops down nothing exceeds the threshold: bloom is in the plan, and skipped on the device.
+        EffectCase("bloom", "glow", free=_lens(bloom=0.0), idle=_lens(exposure=-20.0)),
+        EffectCase("depth_of_field", "focus", free=_lens(aperture=0.0)),
+        EffectCase("motion_blur", "motion", free=_lens(shutter=0.0), moving=True),
+        EffectCase("anti_aliasing", "hundred_lights", "terrain?triangles=2000&lights=20", centre=(0.22, 0.42), zoom=3),
+    )
+}
+
+
+def case_size(device_is_cuda: bool, quick: bool) -> tuple[int, int]:
+    """Size at which effects are timed and their errors taken [px]."""
+    return QUICK_SIZE if quick else (1920, 1080) if device_is_cuda else (320, 180)
+
+
+@dataclasses.dataclass(frozen=True)
+class CompositeCase(FrameCase):
+    """A whole frame with several effects.
+
+    Attributes:
+        needs: Effects without which it is not the frame that is meant.
+        change: What is changed after the scene is built.
+        settings: Settings, as on the command line; effects that are not needed are turned off.
+    """
+
+    needs: tuple[str, ...] = ()
+    change: Callable[[Scene], None] | None = None
+    settings: tuple[str, ...] = ()
+
+    def build(self) -> Scene:
+        """Build the scene and change it."""
+        scene = load(self.source)
+        if self.change is not None:
+            self.change(scene)
+        return scene
+
+    def assignments(self) -> list[str]:
+        """Settings, and `off` for every effect the frame does not need: its name says all that is in it."""
+        return [*self.settings, *(f"{name}.rung=off" for name in ladders() if name not in self.needs)]
+
+
+def _moonlit(scene: Scene) -> None:
+    """Add a shadowed directional light and a lens that blooms; the terrain's ambient light is not zero anyway."""
+    scene.lights.add(
+        DirectionalLight(direction=(0.7, -0.6, -0.4), color=(0.55, 0.7, 1.0), intensity=0.5, casts_shadow=True)
+    )
+    _lens(bloom=0.1)(scene)
+
+
+def composite_cases(device_is_cuda: bool, *, quick: bool) -> tuple[CompositeCase, ...]:
+    """List the frames with several effects that are timed on a kind of device."""
+    wide, face = (2048, 512) if device_is_cuda and not quick else (256, 128)
+    maps = (f"shadow.directional_size={wide}", f"shadow.point_size={face}", "shadow.cascades=4", "shadow.rung=pcf",
+            "shadow.keep_maps=false")  # fmt: skip
+    rest = ("ambient_visibility.rung=gtao", "bloom.rung=mip_chain")
+    triangles, lights, casting = (500_000, 1000, 16) if device_is_cuda and not quick else (2000, 20, 2)
+    sizes = {"1080p": (1920, 1080), "4k": (3840, 2160)} if device_is_cuda and not quick else {"small": (160, 90)}
+    source = f"terrain?triangles={triangles}&lights="
+    effects = ("shadow", "ambient_visibility", "bloom")
+    text = f"terrain, {triangles // 1000} k triangles"
+    cases = []
+    for name, (width, height) in sizes.items():
+        title = f"{text}, {lights} lights, one shadowed directional light, gtao, bloom, {width}x{height}"
+        case = CompositeCase(f"composite_{name}", title, f"{source}{lights}", width, height)
+        cases.append(dataclasses.replace(case, needs=effects, change=_moonlit, settings=maps + rest))
+    name, (width, height) = next(iter(sizes.items()))
+    title = f"{text}, {casting} shadowed point lights, {width}x{height}"
+    case = CompositeCase(f"shadowed_points_{name}", title, f"{source}{casting}&mean=1", width, height)
+    cases.append(dataclasses.replace(case, needs=("shadow",), change=lambda s: _cast(s, True), settings=maps))
+    kept = dataclasses.replace(cases[-1], name=f"kept_points_{name}", title=f"{title}, maps kept")
+    cases.append(dataclasses.replace(kept, settings=(*maps, "shadow.keep_maps=true")))
+    return tuple(cases)
