@@ -1,6 +1,6 @@
 """Structs shared by all kernels, and the constants that host and device agree on.
 
-Sizes in bytes (asserted by tests/kernels/test_structs.py): View 192, Transform 64, Instance 80, Pair 92, Cluster 48,
+Sizes in bytes (asserted by tests/kernels/test_structs.py): View 208, Transform 64, Instance 80, Pair 92, Cluster 48,
 LargeTriangle 48, BloomLevel 24, Material 128 on the device plus its textures' handles.
 
 Only arrays whose content may change from frame to frame hold per-frame values; a captured graph freezes what is
@@ -72,6 +72,8 @@ class View:
     near: wp.float32  # near plane [m]
     far: wp.float32  # far plane [m]; perspective: what lies wholly beyond it is culled where depth_clamp is set
     exposure: wp.float32  # linear factor
+    aperture: wp.float32  # diameter of the lens opening [m]; 0: a pinhole, or orthographic
+    focus_distance: wp.float32  # view depth in focus [m]
     projection: wp.int32  # PERSPECTIVE or ORTHOGRAPHIC
     cull_mode: wp.int32
     depth_clamp: wp.int32  # orthographic: clamp depth to [0, 1] instead of dropping fragments; perspective: cull by far
@@ -94,7 +96,9 @@ class View:
     own_cluster_first: wp.int32
     own_cluster_count: wp.int32
     skipped: wp.int32  # 1: nothing is drawn, as for the shadow map of a light that is out
+    shutter: wp.float32  # share of the frame interval that the shutter is open
     bloom: wp.float32  # share of light the lens scatters
+    spare: wp.int32
 
 
 @wp.struct

@@ -32,11 +32,13 @@ FULL = Settings(gbuffer=GBufferSettings(rung="full"), shade=ShadeSettings(radian
 #: Small forms of every scene, by name.
 SMALL = {
     "corner": "corner",
+    "focus": "focus",
     "fullscreen_spots": "fullscreen_spots",
     "furnace": "furnace",
     "glow": "glow",
     "hundred_lights": "hundred_lights",
     "lambert_plane": "lambert_plane",
+    "motion": "motion",
     "many_lights": "many_lights?lights=200&triangles=6000",
     "spheres_50k": "spheres_50k",
     "shadows": "shadows",

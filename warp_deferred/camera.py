@@ -53,11 +53,11 @@ class Camera(Record):
     exposure: float = Field(0.0, ge=-64.0, le=64.0)
     """Exposure [stops]: `display` is scaled by 2^exposure."""
     aperture: float = Field(0.0, ge=0.0)
-    """Diameter of the lens opening [m]; 0 is a pinhole."""
+    """Diameter of the lens opening [m]; 0 is a pinhole. Orthographic cameras have none: all they see is in focus."""
     focus_distance: float = Field(1.0, gt=0.0)
     """View depth of the plane in focus [m]."""
-    shutter: float = Field(0.0, ge=0.0)
-    """Time the shutter stays open, as a share of the frame interval."""
+    shutter: float = Field(0.0, ge=0.0, le=1.0)
+    """Time the shutter stays open, as a share of the frame interval, 0 to 1; it closes at the frame's own time."""
     bloom: float = Field(0.0, ge=0.0, le=1.0)
     """Share of light the lens scatters into a bloom [1]; with a threshold in force, of the light above it."""
     name: str = ""
@@ -207,7 +207,12 @@ class Camera(Record):
     @functools.cached_property
     def selector(self) -> int:
         """World and lens in one number: all of a camera that can select another plan."""
-        return 8 * self.world + (self.aperture > 0.0) + 2 * (self.shutter > 0.0) + 4 * (self.bloom > 0.0)
+        return 8 * self.world + self.has_lens + 2 * (self.shutter > 0.0) + 4 * (self.bloom > 0.0)
+
+    @property
+    def has_lens(self) -> bool:
+        """Whether it blurs what is out of focus; parallel rays, which have no centre to open up, never do."""
+        return self.aperture > 0.0 and self.projection == "perspective"
 
     @property
     def lens_flags(self) -> int:

@@ -35,7 +35,7 @@ class Channel:
     @property
     def components(self) -> int:
         """Numbers per pixel."""
-        return {"vec3": 3, "vec4ub": 4}.get(self.dtype, 1)
+        return {"vec2": 2, "vec3": 3, "vec4ub": 4}.get(self.dtype, 1)
 
     @property
     def is_integer(self) -> bool:
@@ -63,6 +63,15 @@ _TABLE = (
     Channel("normal", "vec3", "world", "1", 0.0, _layer("normal", "XYZ"), "Unit shading normal; 0 on the background."),
     Channel("position", "vec3", "world", "m", 0.0, _layer("position", "XYZ"), "Surface point; 0 on the background."),
     Channel("albedo", "vec3", "linear Rec. 709", "1", 0.0, _layer("albedo", "RGB"), "Base colour of the surface."),
+    Channel(
+        "motion",
+        "vec2",
+        "image",
+        "px",
+        0.0,
+        _layer("motion", "XY"),
+        "Position less that of the frame before, y down; on the background, of what is infinitely far.",
+    ),
     Channel(
         "ambient_visibility",
         "float32",

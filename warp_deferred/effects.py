@@ -12,7 +12,7 @@ import importlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .sampling import pixel_samples
+from .sampling import lens_samples, pixel_samples, shutter_samples
 from .shadow_slots import beyond_capacity
 
 if TYPE_CHECKING:
@@ -66,6 +66,8 @@ class Effect:
 
 def _sampled(request: Request) -> Verdict:
     rungs = [f"anti_aliasing.rung={request.settings.anti_aliasing.rung}"] * (pixel_samples(request) > 1)
+    rungs += ["depth_of_field.rung=lens_samples"] * (lens_samples(request) > 1)
+    rungs += ["motion_blur.rung=shutter_samples"] * (shutter_samples(request) > 1)
     return Verdict(bool(rungs), ", ".join(rungs) or "no rung takes several samples a pixel")
 
 
@@ -94,6 +96,42 @@ def _shadow(request: Request) -> Verdict:
     left = beyond_capacity(request.features.casters, request.settings.shadow)
     reason = f"{count} light{'s cast' if count > 1 else ' casts'} shadows"
     return Verdict(True, reason + f"; {left} past the capacity, without" * (left > 0))
+
+
+def _depth_of_field(request: Request) -> Verdict:
+    if not request.lens.aperture:
+        return Verdict(False, "no camera has an aperture")
+    if request.settings.depth_of_field.rung == "lens_samples":
+        return Verdict(False, "lens_samples moves the views instead")
+    return Verdict(True, "a camera has an aperture")
+
+
+def _lens_samples(request: Request) -> Verdict:
+    return Verdict(lens_samples(request) > 1, "a camera has an aperture and depth_of_field.rung is lens_samples")
+
+
+def _motion(request: Request) -> Verdict:
+    if "motion" in request.outputs:
+        return Verdict(True, "motion asked for")
+    blur = next(effect for effect in EFFECTS if effect.name == "motion_blur").verdict(request)
+    if blur.runs and request.settings.motion_blur.rung != "shutter_samples":
+        return Verdict(True, "motion_blur reads it")
+    return Verdict(False, "nothing reads it")
+
+
+def _motion_blur(request: Request) -> Verdict:
+    if not request.lens.shutter:
+        return Verdict(False, "no camera has an open shutter")
+    if not request.moving:
+        return Verdict(False, "nothing is declared moving")
+    if request.settings.motion_blur.rung == "shutter_samples":
+        return Verdict(False, "shutter_samples moves views and instances instead")
+    return Verdict(True, f"a camera has an open shutter, and {request.moving}")
+
+
+def _shutter_samples(request: Request) -> Verdict:
+    runs = shutter_samples(request) > 1
+    return Verdict(runs, f"motion_blur.rung is shutter_samples, a camera has an open shutter, and {request.moving}")
 
 
 def _bloom(request: Request) -> Verdict:
@@ -135,8 +173,13 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
     Effect("shadow", "", _shadow),
+    Effect("shutter_samples", "begin_sample", _shutter_samples, "motion_blur", quiet=True),
+    Effect("lens_samples", "begin_sample", _lens_samples, "depth_of_field", quiet=True),
     Effect("accumulate", "shade", _sampled, "sampling"),
     Effect("average", "accumulate", _sampled, "sampling", quiet=True),
+    Effect("motion", "average", _motion),
+    Effect("depth_of_field", "average", _depth_of_field),
+    Effect("motion_blur", "average", _motion_blur),
     Effect("bloom", "", _bloom, before="display"),
     Effect("anti_aliasing", "display", _smoothed),
     Effect("blur", "average", _blur),

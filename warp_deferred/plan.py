@@ -29,7 +29,7 @@ from .passes.resolve import ResolvePass
 from .passes.shade import ShadePass
 from .program import END, SAMPLE, START, Program
 from .resources import Resources
-from .sampling import sample_count
+from .sampling import sample_count, shutter_samples
 from .selection import PassReport, select, verify
 from .shadow_slots import ShadowTable
 from .views import ViewLayout, ViewPacker
@@ -103,7 +103,9 @@ class Plan:
         averaged = set(all_reads(sums))
         inside = {name for stage in self.passes if stage.scope in LOOP for name in all_writes(stage)} - averaged
         after = {name for stage in self.passes if stage.scope == "frame_end" for name in all_reads(stage)}
-        return sample_count(self.request) + bool(inside & (after | self.request.outputs))
+        # The look at the centre, at the frame's own time, also puts back what samples of the shutter have moved.
+        centre = inside & (after | self.request.outputs) or shutter_samples(self.request) > 1
+        return sample_count(self.request) + bool(centre)
 
     def _build(self, stage: Pass, part: int) -> None:
         """Prepare a pass and add its launches to the program."""
@@ -167,6 +169,12 @@ class Plan:
     def replay(self) -> None:
         """Run the frame; the first call on CUDA captures it."""
         self.resources.program.replay()
+
+    def forget(self) -> None:
+        """Forget the frame before: another plan's frame, or another scene's, came between."""
+        for name in ("motion_known", "shutter_known"):
+            if name in self.resources.channels:
+                self.resources.channels[name].zero_()
 
     def counters(self) -> list[str]:
         """Counts read back from the last frame: what overflowed its capacity, in words; nothing if nothing did."""

@@ -110,6 +110,8 @@ class Renderer:
         self._plan: Plan | None = None
         self._fast: tuple[Any, ...] | None = None
         self._packed: tuple[Any, list[Camera], bytes] | None = None
+        self._moving = ""
+        self._watched: tuple[int, list[Camera]] | None = None
 
     @property
     def settings(self) -> Settings:
@@ -129,6 +131,8 @@ class Renderer:
             views: Number of views a frame will have.
         """
         cameras = [self.scene.camera or Camera()] * views
+        if any(c.lens_flags & 2 for c in cameras):
+            self._watch(cameras, None)
         self._look_up(cameras, progress)
 
     def render(self, camera: Camera | Sequence[Camera] | None = None, *, poses: Any = None) -> Frame:
@@ -146,6 +150,8 @@ class Renderer:
             InputError: If there is no camera or an argument does not fit.
         """
         cameras = self._cameras(camera)
+        if any(c.lens_flags & 2 for c in cameras):
+            self._watch(cameras, poses)
         plan = self._look_up(cameras, None)
         resources = plan.resources
         self._update()
@@ -177,6 +183,19 @@ class Renderer:
         plan.packer.write(block, cameras, self._fast[4])
         self._packed = (self._fast, cameras, bytes(block))
 
+    def _watch(self, cameras: list[Camera], poses: Any) -> None:
+        """Note what is declared to move, once; it stays so, for a thing at rest moves by nothing."""
+        if self._moving:
+            return
+        scene, known = self.scene, self._watched
+        self._watched = (scene.revision, cameras)
+        if scene.transforms is not None or poses is not None:
+            self._moving = "transforms or poses come from an array"
+        elif scene.animate is not None:
+            self._moving = "the scene can be animated"
+        elif known is not None and (known[0] != scene.revision or known[1] != cameras):
+            self._moving = "transforms or cameras have changed between frames"
+
     def _stage_poses(self, poses: Any, count: int, resources: Any) -> None:
         array = as_float_array("render.poses", poses, self.device, (count, 4, 4))
         wp.launch(
@@ -206,6 +225,8 @@ class Renderer:
         scene = self.scene
         seen = (scene.structure_revision, scene.lights.structure_revision, scene.look_revision)
         chosen = tuple([c.selector for c in cameras])
+        if self._moving:
+            chosen = (*chosen, self._moving)
         # The common case, a frame like the last one, must not hash settings or requests.
         settings = self._settings or scene.settings
         fast = self._fast
@@ -227,6 +248,7 @@ class Renderer:
         if plan is not self._plan:
             self._plans[request] = self._plans.pop(request)
             self._plan = plan
+            plan.forget()
         slots = table.slots if table else ()
         ranges = self._ranges([*(c.world for c in cameras), *(slot.world for slot in slots)])
         if table:
@@ -266,6 +288,7 @@ class Renderer:
             scene_key=self._scene_key,
             threads=self._threads,
             share_memory=self._share_memory,
+            moving=self._moving,
             lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
         )
         request = with_passes(request, self._passes)

@@ -16,7 +16,7 @@ import numpy as np
 if TYPE_CHECKING:
     from .passes.base import Request
 
-__all__ = ["pixel_samples", "points", "sample_count", "sample_table"]
+__all__ = ["lens_samples", "pixel_samples", "points", "sample_count", "sample_table", "shutter_samples"]
 
 #: Degree, coefficients and first direction numbers of the axes after the first, which is the bit-reversed count.
 JOE_KUO = ((1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)))
@@ -28,9 +28,22 @@ def pixel_samples(request: Request) -> int:
     return int(count) if kind == "samples" else 1
 
 
+def lens_samples(request: Request) -> int:
+    """Samples that `depth_of_field` asks for; 1 where its rung takes none or no camera has an open lens."""
+    settings = request.settings.depth_of_field
+    return settings.samples if settings.rung == "lens_samples" and request.lens.aperture else 1
+
+
+def shutter_samples(request: Request) -> int:
+    """Samples that `motion_blur` asks for; 1 where its rung takes none, no shutter stays open or nothing moves."""
+    settings = request.settings.motion_blur
+    called_for = request.lens.shutter and request.moving
+    return settings.samples if settings.rung == "shutter_samples" and called_for else 1
+
+
 def sample_count(request: Request) -> int:
     """Samples a frame takes: the most that a rung asks for."""
-    return max([pixel_samples(request)])
+    return max(pixel_samples(request), lens_samples(request), shutter_samples(request))
 
 
 def _directions(bits: int) -> list[list[int]]:

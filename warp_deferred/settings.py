@@ -11,6 +11,8 @@ from .effect_settings import (
     AntiAliasingSettings,
     BloomSettings,
     BlurSettings,
+    DepthOfFieldSettings,
+    MotionBlurSettings,
     ScaleSettings,
     ShadowSettings,
 )
@@ -103,6 +105,10 @@ class Settings(Record):
     """A Gaussian over the image."""
     scale: ScaleSettings = ScaleSettings()
     """Rendered size."""
+    depth_of_field: DepthOfFieldSettings = DepthOfFieldSettings()
+    """Blur of what is out of focus."""
+    motion_blur: MotionBlurSettings = MotionBlurSettings()
+    """Blur of what moves while the shutter is open."""
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.

@@ -177,9 +177,9 @@ class ViewPacker:
                 fx, fy, cx, cy = fx * sx, fy * sy, cx * sx, cy * sy
             self._pack(
                 buffer, v * self.size, *camera.position, offset, *camera.rotation, fx, -fy, cx, cy, camera.near,
-                camera.far, 2.0**camera.exposure, PROJECTIONS[camera.projection], self._cull, int(depth_clamp),
-                int(size.depth_only), camera.world, pitch, size.width, size.height, *tables, *ranges[v], 0,
-                camera.bloom,
+                camera.far, 2.0**camera.exposure, camera.aperture if camera.has_lens else 0.0, camera.focus_distance,
+                PROJECTIONS[camera.projection], self._cull, int(depth_clamp), int(size.depth_only), camera.world, pitch,
+                size.width, size.height, *tables, *ranges[v], 0, camera.shutter, camera.bloom, 0,
             )  # fmt: skip
 
     def slot_rows(self, first: int, worlds: Sequence[int], ranges: Sequence[tuple[int, ...]], cull: str) -> np.ndarray:
@@ -200,7 +200,8 @@ class ViewPacker:
             offset, pitch, *tables = self.layout.fields[first + k]
             self._pack(
                 rows, k * self.size, 0.0, 0.0, 0.0, offset, *IDENTITY, 1.0, -1.0, 0.5 * size.width, 0.5 * size.height,
-                1.0, 1.0, 1.0, 0, CULL_MODES[cull], 1, 1, world, pitch, size.width, size.height, *tables, *own, 1, 0.0,
+                1.0, 1.0, 1.0, 0.0, 1.0, 0, CULL_MODES[cull], 1, 1, world, pitch, size.width, size.height, *tables,
+                *own, 1, 0.0, 0.0, 0,
             )  # fmt: skip
         return np.frombuffer(rows, np.dtype(structs.View.numpy_dtype()))
 

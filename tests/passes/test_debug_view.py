@@ -311,9 +311,7 @@ def test_a_picture_imports_no_debug_view():
 
 def test_the_shadow_atlas_shows_what_a_light_sees(device):
     scene = gallery()
-    scene.lights.add(
-        wd.SpotLight(position=(0.0, 6.0, 0.0), direction=(0.0, -1.0, 0.01), range=20.0, casts_shadow=True)
-    )
+    scene.lights.add(wd.SpotLight(position=(0.0, 6.0, 0.0), direction=(0.0, -1.0, 0.01), range=20.0, casts_shadow=True))
     picture = shown("shadow_atlas", device, scene=scene)
     # One map fills the picture: the floor and what stands on it, at several depths.
     assert len(np.unique(picture[..., 0])) > 8

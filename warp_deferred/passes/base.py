@@ -68,6 +68,7 @@ class Request:
         share_memory: Let buffers whose lives do not overlap share memory.
         lens: What the cameras' lenses call for.
         passes: The user's own passes, in order; compared as they compare themselves, by identity unless they say how.
+        moving: What is declared to move, in words; empty where nothing is or no shutter is open.
         hidden: Outputs that only those passes or a debug view read: made, and not shown in frames.
         shadow_slots: Shadow maps: the last views, of depth only.
     """
@@ -87,6 +88,7 @@ class Request:
     passes: tuple[Pass, ...] = ()
     hidden: frozenset[str] = frozenset()
     shadow_slots: int = 0
+    moving: str = ""
 
     @property
     def cameras(self) -> int:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from ..kernels import lights as kernels
 from ..program import FIRST
 from ..resources import Resources
-from .base import Buffer, Pass
+from ..sampling import lens_samples, shutter_samples
+from ..views import ViewLayout
+from .base import Buffer, Pass, Request
 
 __all__ = ["LightsPass"]
 
@@ -15,8 +17,15 @@ class LightsPass(Pass):
 
     name = "lights"
     doc = "stage lights relative to each view"
-    # Samples move within the pixel, not the eye.
+    # Samples move within the pixel, not the eye, unless they are points of a lens.
     scope = "frame_start"
+
+    def bound(self, request: Request, layout: ViewLayout) -> Pass:
+        """Run in each sample where samples move the eye."""
+        stage = super().bound(request, layout)
+        if max(lens_samples(request), shutter_samples(request)) > 1:
+            object.__setattr__(stage, "scope", "sample")
+        return stage
 
     def called_for(self) -> str | None:
         """Lights, and something lit by them."""

@@ -1,0 +1,189 @@
+"""Motion: how far each pixel's surface moved in the image since the frame before, from rigid or affine transforms.
+
+A point q of a view (before the eye, world scale) was at q + D q + t before, where D and t come from both poses of its
+instance and of the view, in float64, once a pair: R1 L1 inverse(L0) transpose(R0) - 1, so what does not move has D and
+t of exactly 0 and what moves little loses nothing. A background pixel is a point infinitely far away: rotations alone.
+Points bound to meshes count as they are now. Block size 64. Bytes a pixel: 8 in, 8 out, and an instance's pair.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .clusters import instance_of_rank, pair_of_instance, to_single, widen
+from .intrinsics import bits_float, load_vec4i
+from .projection import linear_depth, pixel_in_block, pixel_index, pixel_ray
+from .structs import (
+    ALL_BITS,
+    CLUSTER_SIZE,
+    ORTHOGRAPHIC,
+    PIXEL_BLOCK_AREA,
+    Geometry,
+    Transform,
+    View,
+)
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+BLOCK_DIM = 64
+#: Longest motion [px]: beyond it lies nothing that a picture of at most 16384 pixels could show.
+MAX_MOTION_PX = wp.constant(wp.float32(16384.0))
+
+
+@wp.struct
+class Step:
+    """How a view's image of an instance, or of what is infinitely far, was before: q + matrix q + offset."""
+
+    matrix: wp.mat33
+    offset: wp.vec3
+
+
+@wp.func
+def same_pose(a: wp.vec3d, b: wp.vec3d, m: wp.mat33, n: wp.mat33):
+    """Whether two poses agree to the bit."""
+    return a == b and m == n
+
+
+@wp.func
+def minus_one(m: wp.mat33d):
+    """M - 1 in float32."""
+    d = m - wp.identity(3, dtype=wp.float64)
+    return wp.mat33(
+        wp.float32(d[0, 0]), wp.float32(d[0, 1]), wp.float32(d[0, 2]),
+        wp.float32(d[1, 0]), wp.float32(d[1, 1]), wp.float32(d[1, 2]),
+        wp.float32(d[2, 0]), wp.float32(d[2, 1]), wp.float32(d[2, 2]),
+    )  # fmt: skip
+
+
+@wp.kernel
+def prepare_steps_kernel(
+    # Frame
+    views: wp.array[View],
+    # Scene
+    geometry: Geometry,
+    # In
+    known: wp.array[wp.int32],
+    old_views: wp.array[View],
+    old_transforms: wp.array[Transform],
+    # Out
+    out_steps: wp.array[Step],
+):
+    """One thread a pair, and one a view for what is infinitely far, whose step lies behind those of the pairs."""
+    v, rank = wp.tid()
+    view = views[v]
+    instances = view.shared_instances + view.own_count
+    if rank > instances:
+        return
+    result = Step()
+    index = out_steps.shape[0] - views.shape[0] + v
+    if rank < instances:
+        index = view.pair_offset + rank
+    if known[0] != 0:
+        before = old_views[v]
+        turned = widen(before.rotation)
+        back = wp.transpose(widen(view.rotation))
+        still = same_pose(view.origin, before.origin, view.rotation, before.rotation)
+        if rank == instances:
+            if not (view.rotation == before.rotation):
+                result.matrix = minus_one(turned * back)
+        else:
+            i = instance_of_rank(view, rank)
+            now, old = geometry.transforms[i], old_transforms[i]
+            linear = widen(now.linear)
+            moved = not same_pose(now.origin, old.origin, now.linear, old.linear)
+            if moved and wp.determinant(linear) != wp.float64(0.0):
+                change = widen(old.linear) * wp.inverse(linear)
+                result.matrix = minus_one(turned * change * back)
+                result.offset = to_single(turned * (change * (view.origin - now.origin) + (old.origin - before.origin)))
+            elif not moved and not still:
+                result.matrix = minus_one(turned * back)
+                result.offset = to_single(turned * (view.origin - before.origin))
+    out_steps[index] = result
+
+
+@wp.func
+def motion_of(view: View, before: View, step: Step, px: wp.float32, py: wp.float32, depth: wp.float32):
+    """Motion of a pixel [px], y down; 0 where it cannot be told."""
+    ray = pixel_ray(view, px, py)
+    q = ray * depth
+    if view.projection == ORTHOGRAPHIC:
+        q = wp.vec3(ray[0], ray[1], -depth)
+    d = step.matrix * q + step.offset
+    p = q + d
+    shift = wp.vec2(-d[0], -d[1])
+    place = wp.vec2(p[0], p[1])
+    if view.projection != ORTHOGRAPHIC:
+        if not (p[2] < -0.001 * depth):
+            # Behind the eye, or so near it that it was nowhere in the picture.
+            return wp.vec2(0.0, 0.0)
+        # x / -z now less x / -z before, without the difference of two large numbers.
+        inverse = 1.0 / p[2]
+        shift = wp.vec2(d[0] + ray[0] * d[2], d[1] + ray[1] * d[2]) * inverse
+        place = place * -inverse
+    motion = wp.cw_mul(view.scale, shift) + wp.cw_mul(view.scale - before.scale, place)
+    motion = motion + (view.center - before.center)
+    length = wp.length(motion)
+    if not wp.isfinite(length):
+        return wp.vec2(0.0, 0.0)
+    return motion * wp.min(1.0, MAX_MOTION_PX / wp.max(length, 1.0))
+
+
+@wp.kernel(grid_stride=False)
+def motion_kernel(
+    # Frame
+    views: wp.array[View],
+    blocks: wp.array[wp.vec4i],
+    # Scene
+    geometry: Geometry,
+    # In
+    keys: wp.array[wp.uint64],
+    known: wp.array[wp.int32],
+    old_views: wp.array[View],
+    steps: wp.array[Step],
+    # Params
+    first: wp.int32,
+    # Out
+    out_motion: wp.array[wp.vec2],
+):
+    """One thread a pixel."""
+    thread = wp.tid() + first
+    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    place = pixel_in_block(thread)
+    view = views[block[0]]
+    x, y = block[1] + place[0], block[2] + place[1]
+    if x >= view.width or y >= view.height:
+        return
+    i = pixel_index(view, x, y)
+    motion = wp.vec2(0.0, 0.0)
+    if known[0] != 0:
+        key = keys[i]
+        index = steps.shape[0] - views.shape[0] + block[0]
+        distance = wp.float32(1.0)
+        if key != wp.uint64(0):
+            identity = ALL_BITS - wp.uint32(key)
+            index = pair_of_instance(view, geometry.id_blocks[wp.int32(identity / wp.uint32(CLUSTER_SIZE))])
+            distance = linear_depth(view, bits_float(wp.uint32(key >> wp.uint64(32))))
+        if key != wp.uint64(0) or view.projection != ORTHOGRAPHIC:
+            px, py = wp.float32(x) + 0.5, wp.float32(y) + 0.5
+            motion = motion_of(view, old_views[block[0]], steps[index], px, py, distance)
+    out_motion[i] = motion
+
+
+@wp.kernel
+def remember_kernel(
+    # In
+    views: wp.array[View],
+    transforms: wp.array[Transform],
+    # Out
+    out_views: wp.array[View],
+    out_transforms: wp.array[Transform],
+    out_known: wp.array[wp.int32],
+):
+    """One thread a view or instance: keep the frame's poses for the next."""
+    i = wp.tid()
+    if i < views.shape[0]:
+        out_views[i] = views[i]
+    if i < transforms.shape[0]:
+        out_transforms[i] = transforms[i]
+    if i == 0:
+        out_known[0] = 1

@@ -1,0 +1,142 @@
+"""The functions of depth of field against NumPy: circles of confusion, points of the lens, reduced images."""
+
+import numpy as np
+import pytest
+import warp as wp
+from warp_deferred.kernels import depth_of_field as kernels
+from warp_deferred.kernels import lens, lens_layers
+from warp_deferred.kernels.structs import View
+
+import warp_deferred as wd
+from warp_deferred.passes.depth_of_field import blur_weights
+from warp_deferred.views import ViewLayout, ViewPacker, ViewSize
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+SIZE = (160, 90)
+
+
+@wp.kernel
+def circle_kernel(
+    views: wp.array[View], depth: wp.array[wp.float32], limit: wp.float32, out_radius: wp.array[wp.float32]
+):
+    i = wp.tid()
+    out_radius[i] = lens.circle_of_confusion(views[0], depth[i], limit)
+
+
+@wp.kernel
+def project_kernel(
+    views: wp.array[View],
+    square: wp.array[wp.vec2],
+    points: wp.array[wp.vec3],
+    out_disc: wp.array[wp.vec2],
+    out_pixel: wp.array[wp.vec2],
+):
+    i = wp.tid()
+    disc = lens.disc_point(square[i][0], square[i][1])
+    view = lens.through_lens(views[0], disc)
+    origin = wp.vec3(wp.float32(view.origin[0]), wp.float32(view.origin[1]), wp.float32(view.origin[2]))
+    p = view.rotation * (points[i] - origin)
+    out_disc[i] = disc
+    out_pixel[i] = wp.cw_mul(view.scale, wp.vec2(p[0], p[1])) / -p[2] + view.center
+
+
+@wp.kernel
+def merge_kernel(children: wp.array2d[wp.vec4], out_texel: wp.array[wp.vec4]):
+    i = wp.tid()
+    out_texel[i] = lens_layers.merged(children[i, 0], children[i, 1], children[i, 2], children[i, 3])
+
+
+def views_of(camera, device):
+    """One camera as the renderer packs it."""
+    packer = ViewPacker(ViewLayout((ViewSize(*SIZE),), 16), "back")
+    block = bytearray(packer.size)
+    packer.write(memoryview(block), [camera], [(0,) * 7])
+    row = np.frombuffer(block, np.dtype(View.numpy_dtype()))
+    return wp.array(row, dtype=View, device=device), row[0]
+
+
+def circles(camera, depths, limit, device):
+    views, _ = views_of(camera, device)
+    out = wp.zeros(len(depths), dtype=wp.float32, device=device)
+    inputs = [views, wp.array(np.float32(depths), dtype=wp.float32, device=device), limit]
+    wp.launch(circle_kernel, len(depths), inputs=inputs, outputs=[out], device=device)
+    return out.numpy()
+
+
+@pytest.mark.parametrize("focus", [0.06, 2.5, 1e9])
+def test_f3_circles_of_confusion_follow_the_closed_form(focus, device):
+    camera = wd.Camera(aperture=0.02, focus_distance=focus)
+    fx = camera.pixel_projection(*SIZE)[0]
+    depths = np.float32(np.geomspace(0.05, 1e6, 200))
+    depth = depths.astype(float)
+    # The diameter, A fx |z - f| / (z f), is twice the signed radius.
+    expected = camera.aperture * fx * (depth - focus) / (depth * focus)
+    found = 2.0 * circles(camera, depths, 1e30, device)
+    scale = camera.aperture * fx * (1.0 / depth + 1.0 / focus)
+    assert np.abs(expected).max() > 0.5
+    assert (np.abs(found - expected) <= 1e-5 * scale).all()
+    # Limits: infinitely far, at the plane in focus, and beyond the largest radius allowed.
+    far, sharp = circles(camera, [np.inf, focus], 1e30, device)
+    assert np.isclose(2.0 * far, camera.aperture * fx / focus, rtol=1e-5) and abs(sharp) < 1e-4
+    assert np.abs(circles(camera, depths, 0.75, device)).max() == 0.75
+
+
+def test_pinholes_and_parallel_rays_have_no_circles(device):
+    for camera in (wd.Camera(), wd.Camera(projection="orthographic", aperture=0.5)):
+        assert np.array_equal(circles(camera, [0.1, 1.0, 30.0, np.inf], 32.0, device), np.zeros(4))
+        assert camera.lens_flags == 0
+
+
+def test_f3_views_through_the_lens_make_the_same_circles(device, rng):
+    camera = wd.Camera.look_at((1.0, 2.0, 3.0), (0.0, 0.5, -1.0), aperture=0.3, focus_distance=2.0)
+    camera = camera.replace(intrinsics=(120.0, 80.0, 70.0, 50.0), image_size=SIZE)
+    views, row = views_of(camera, device)
+    n = 4096
+    square = np.float32(rng.random((n, 2)))
+    square[0] = 0.5
+    depth = rng.uniform(0.7, 9.0, n)
+    depth[: n // 2] = 2.0
+    local = np.stack([rng.uniform(-0.5, 0.5, n) * depth, rng.uniform(-0.4, 0.4, n) * depth, -depth], axis=1)
+    world = local @ np.reshape(camera.rotation, (3, 3)) + camera.position
+    disc, pixel = (wp.zeros(n, dtype=wp.vec2, device=device) for _ in range(2))
+    inputs = [views, wp.array(square, dtype=wp.vec2, device=device), wp.array(np.float32(world), dtype=wp.vec3,
+                                                                           device=device)]  # fmt: skip
+    wp.launch(project_kernel, n, inputs=inputs, outputs=[disc, pixel], device=device)
+    disc, pixel = disc.numpy(), pixel.numpy()
+    pinhole = local[:, :2] / depth[:, None] * row["scale"] + row["center"]
+    # What lies in the plane in focus does not move; all else moves as far as its circle says.
+    assert np.abs(pixel - pinhole)[: n // 2].max() < 1e-3
+    shift = 0.5 * camera.aperture * (1.0 / depth - 1.0 / 2.0)[:, None] * disc * -row["scale"]
+    assert np.abs(pixel - pinhole - shift).max() < 1e-3 and np.abs(shift).max() > 5.0
+    # The disc is filled evenly: its middle stays, and radii squared are uniform.
+    assert np.array_equal(disc[0], (0.0, 0.0))
+    radius = np.hypot(*disc.T)
+    assert radius.max() <= 1.0 + 1e-6
+    assert np.abs(np.sort(radius**2) - (np.arange(n) + 0.5) / n).max() < 0.03
+    assert np.abs(disc.mean(axis=0)).max() < 0.03
+
+
+def test_reduced_texels_hold_one_side_and_no_sharp_colour(device):
+    red, blue = (4.0, 0.0, 0.0), (0.0, 0.0, 2.0)
+    cases = [
+        ([(*red, 8.0)] * 2 + [(*blue, 0.1)] * 2, (*red, 8.0)),
+        ([(*red, -8.0)] * 3 + [(*blue, 30.0)], (*red, -8.0)),
+        ([(*red, -8.0)] + [(*blue, 6.0)] * 3, (*blue, 6.0)),
+        ([(*red, 8.0), (*blue, 8.0)] * 2, (2.0, 0.0, 1.0, 8.0)),
+        ([(*red, 0.0), (*blue, 0.5)] * 2, (2.0, 0.0, 1.0, 0.25)),
+        ([(*red, 0.0)] * 4, (*red, 0.0)),
+    ]
+    children = wp.array(np.float32([c for c, _ in cases]), dtype=wp.vec4, device=device)
+    out = wp.zeros(len(cases), dtype=wp.vec4, device=device)
+    wp.launch(merge_kernel, len(cases), inputs=[children], outputs=[out], device=device)
+    assert np.array_equal(out.numpy(), np.float32([e for _, e in cases]))
+
+
+def test_levels_lie_one_after_the_other():
+    assert kernels.REDUCED_TEXELS == 64 + 16 + 4 and lens_layers.TILE_TEXELS == 256 + 64 + 16 + 4
+
+
+@pytest.mark.parametrize("radius", [1, 8, 32])
+def test_blur_weights_add_up_to_one(radius):
+    weights = blur_weights(radius).astype(float)
+    assert abs(weights[0] + 2.0 * weights[1:].sum() - 1.0) < 1e-6 and (np.diff(weights) < 0.0).all()
