@@ -30,14 +30,13 @@ writes 4: 29 MB, 7 us at 4.2 TB/s. Arithmetic rules: about 800 instructions a pi
 from __future__ import annotations
 
 import functools
-import math
 
 import numpy as np
 import warp as wp
 
 from .depth_pyramid import LEVELS, pyramid_index
 from .encoding import make_gbuffer_codec, pack_unorm
-from .intrinsics import bits_float, float_bits, load_vec4, load_vec4i
+from .intrinsics import bits_float, float_bits, load_float, load_vec4, load_vec4i
 from .projection import pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, PIXEL_BLOCK_AREA, GBuffer, View
 
@@ -52,8 +51,9 @@ RADIUS_SCALE = wp.constant(1.4)
 ELEVATION = wp.constant(8.0)
 #: Nearest sample [px]: one that lands on the pixel itself would say nothing.
 NEAREST_PX = wp.constant(1.3)
-HALF_PI = wp.constant(math.pi / 2.0)
-PI = wp.constant(math.pi)
+#: A sample's place is rounded by adding and taking away 1.5 * 2^23: views are narrower than 2^22 pixels.
+ROUNDER = wp.constant(12582912.0)
+ROUNDER_BITS = wp.constant(wp.uint32(0x4B400000))
 #: Bits of a word that hold depth; the low 8 hold visibility.
 DEPTH_MASK = wp.constant(wp.uint32(0xFFFFFF00))
 #: Word of the background: depth +inf, visibility 1.
@@ -85,6 +85,13 @@ def slice_pattern(slices: int) -> np.ndarray:
     return table.reshape(-1, 4).astype(np.float32)
 
 
+def falloff_of(radius: float) -> float:
+    """What the kernel takes beside a radius [m]: how fast a sample's weight falls [1/m^2]; at most float32's largest."""
+    square = (radius * float(RADIUS_SCALE)) ** 2
+    steepest = float(np.finfo(np.float32).max)
+    return min(1.0 / (1.0 - float(FALLOFF_START)) / square, steepest) if square > 0.0 else steepest
+
+
 @wp.func
 def fast_rsqrt(x: wp.float32):
     """1 / sqrt(x) within 5e-6 by halving the exponent and two Newton steps; x = 0 gives something large.
@@ -98,20 +105,24 @@ def fast_rsqrt(x: wp.float32):
 
 
 @wp.func
-def fast_root(x: wp.float32):
-    """Square root of x >= 0 within 5e-6; exactly 0 for 0."""
-    return x * fast_rsqrt(x)
+def rough_rsqrt(x: wp.float32):
+    """1 / sqrt(x) within 7e-4 by one Newton step of fitted factors; x = 0 gives something large.
+
+    Source: Kadlec 2010, "Improving the fast inverse square root".
+    """
+    y = bits_float(wp.uint32(0x5F1FFFF9) - (float_bits(x) >> wp.uint32(1)))
+    return y * (0.703952253 * (2.38924456 - x * y * y))
 
 
 @wp.func
-def fast_acos(x: wp.float32):
-    """Angle of a cosine in [-1, 1] within 8e-5; acos(-x) is pi - acos(x) to the bit before the subtraction rounds.
+def arc_part(c: wp.float32):
+    """asin c + c sqrt(1 - c^2) within 6e-4 for c in [-1, 1]; odd to the bit.
 
-    Source: Abramowitz and Stegun 1964, 4.4.45.
+    Least maximum error among odd polynomials of degree 9, a fit of ours. It is pi / 2 less what an arc adds to the
+    integral, acos c - c sqrt(1 - c^2).
     """
-    u = wp.abs(x)
-    a = fast_root(1.0 - u) * (1.5707288 + u * (-0.2121144 + u * (0.0742610 - 0.0187293 * u)))
-    return wp.where(x < 0.0, PI - a, a)
+    s = c * c
+    return c * (1.99503783 + s * (-0.25680352 + s * (-0.37033505 + s * (0.48553474 - s * 0.28212488))))
 
 
 @wp.func
@@ -180,12 +191,21 @@ class Gather:
 
     point: wp.vec3  # view space [m]
     towards: wp.vec3  # unit vector to the viewer
-    normal: wp.vec3
+    normal: wp.vec3  # ELEVATION long
     inverse: wp.vec2  # 1 / view.scale
-    px: wp.float32
-    py: wp.float32
+    shift: wp.vec2  # pixel * inverse + shift is a pixel centre's x / depth, y / depth
+    x: wp.float32  # pixel
+    y: wp.float32
     radius2: wp.float32  # squared radius [m^2]
     slope: wp.float32  # falloff per squared metre
+
+
+@wp.func
+def level_start(view: View, level: wp.int32, pitch: wp.int32):
+    """Index of the texel of a level, 0 to LEVELS, that covers pixel (0, 0); level 0 is the depths themselves."""
+    if level == 0:
+        return wp.int32(view.pixel_offset)
+    return pyramid_index(view, level, 0, 0)
 
 
 @wp.func
@@ -197,22 +217,40 @@ def sample_horizon(
     offset_x: wp.float32,
     offset_y: wp.float32,
     level: wp.int32,
+    start: wp.int32,
+    pitch: wp.int32,
     low: wp.float32,
     highest: wp.float32,
 ):
-    """Cosine of the horizon after one more sample, `offset` pixels away; no sample leaves the view."""
-    fx, fy = g.px + offset_x, g.py + offset_y
-    # Compared as floats: offsets may exceed any integer.
-    if not (fx >= 0.0 and fy >= 0.0 and fx < wp.float32(view.width) and fy < wp.float32(view.height)):
+    """Cosine of the horizon, up to rounding at most 1, after one more sample, `offset` pixels away.
+
+    start and pitch are the level's. No sample leaves the view.
+    """
+    # Added to a small number, 1.5 * 2^23 rounds it and leaves it in the low bits.
+    x = wp.int32(float_bits(g.x + offset_x + ROUNDER) - ROUNDER_BITS)
+    y = wp.int32(float_bits(g.y + offset_y + ROUNDER) - ROUNDER_BITS)
+    # Unsigned, what is left of 0 is large, and so is what comes of offsets beyond any integer.
+    if wp.uint32(x) >= wp.uint32(view.width) or wp.uint32(y) >= wp.uint32(view.height):
         return highest
-    d = fetch_point(view, depth, pyramid, g.inverse, wp.int32(fx), wp.int32(fy), level) - g.point
+    tx, ty = x >> level, y >> level
+    z = wp.float32(0.0)
+    if level == 0:
+        z = load_float(depth, start + ty * pitch + tx)
+    else:
+        z = load_float(pyramid, start + ty * pitch + tx)
+    half = wp.uint32((1 << level) >> 1) + ROUNDER_BITS
+    px = bits_float(wp.uint32(tx << level) + half) - ROUNDER
+    py = bits_float(wp.uint32(ty << level) + half) - ROUNDER
+    spread = wp.where(view.projection == ORTHOGRAPHIC, 1.0, z)
+    dx = (px * g.inverse[0] + g.shift[0]) * spread - g.point[0]
+    dy = (py * g.inverse[1] + g.shift[1]) * spread - g.point[1]
+    d = wp.vec3(dx, dy, -z - g.point[2])
     square = wp.dot(d, d)
     # Also false for the background and whatever is not finite.
     if square < g.radius2:
-        inverse = fast_rsqrt(square)
-        cosine = wp.min(wp.dot(d, g.towards) * inverse, 1.0)
-        weight = wp.min((g.radius2 - square) * g.slope, 1.0)
-        weight *= wp.clamp(wp.dot(d, g.normal) * inverse * ELEVATION, 0.0, 1.0)
+        inverse = rough_rsqrt(square)
+        cosine = wp.dot(d, g.towards) * inverse
+        weight = wp.min((g.radius2 - square) * g.slope, 1.0) * wp.clamp(wp.dot(d, g.normal) * inverse, 0.0, 1.0)
         return wp.max(highest, low + (cosine - low) * weight)
     return highest
 
@@ -248,37 +286,38 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
         nearest: wp.float32,
         phase: wp.int32,
     ):
-        v = g.towards
+        v, n = g.towards, g.normal * wp.static(1.0 / float(ELEVATION))
+        facing = wp.dot(n, v)
         # An interpolated normal may face away: the formula holds up to a right angle.
-        nv = wp.max(wp.dot(g.normal, v), 0.0)
+        nv = wp.max(facing, 0.0)
         total, open_total = wp.float32(0.0), wp.float32(0.0)
         for k in range(wp.static(slices)):
             row = load_vec4(pattern, k * 16 + phase)
+            # The tangent is the slice's direction less its part along v; the unit direction lies in the image plane.
             along = row[0] * v[0] + row[1] * v[1]
-            t = wp.vec3(row[0] - v[0] * along, row[1] - v[1] * along, -v[2] * along)
-            nt = wp.dot(g.normal, t) * fast_rsqrt(wp.dot(t, t))
+            nt = (row[0] * n[0] + row[1] * n[1] - along * facing) * fast_rsqrt(wp.max(1.0 - along * along, 1.0e-6))
             sine = wp.clamp(nt * fast_rsqrt(nv * nv + nt * nt), -1.0, 1.0)
             # Towards +t the tangent plane stands at n + 90 degrees, towards -t at 90 - n.
             c1, c0 = -sine, wp.float32(sine)
+            to_x, to_y = row[0] * view.scale[0], row[1] * view.scale[1]
             for step in range(wp.static(steps)):
                 share = (wp.float32(step) + row[2]) * wp.static(1.0 / steps)
                 # Denser near the pixel.
-                share = share * (0.4 + 0.6 * share) + nearest
-                x = row[0] * view.scale[0] * (reach * share)
-                y = row[1] * view.scale[1] * (reach * share)
+                far = reach * (share * (0.4 + 0.6 * share)) + nearest
+                x, y = to_x * far, to_y * far
                 level = sample_level(x, y)
-                c1 = sample_horizon(view, depth, pyramid, g, x, y, level, -sine, c1)
-                c0 = sample_horizon(view, depth, pyramid, g, -x, -y, level, sine, c0)
-            q1, q0, q = wp.max(1.0 - c1 * c1, 0.0), wp.max(1.0 - c0 * c0, 0.0), wp.max(1.0 - sine * sine, 0.0)
-            arc1 = fast_acos(c1) - fast_root(q1) * c1
-            arc0 = fast_acos(c0) - fast_root(q0) * c0
-            open1 = fast_acos(-sine) + fast_root(q) * sine
-            open0 = fast_acos(sine) - fast_root(q) * sine
-            total += nv * (q1 + q0) + nt * (arc1 - arc0)
-            open_total += nv * (q + q) + nt * (open1 - open0)
-        result = total / open_total
+                pitch = wp.where(level == 0, view.row_pitch, view.bins_x << 4)
+                start = level_start(view, level, pitch)
+                c1 = sample_horizon(view, depth, pyramid, g, x, y, level, start, pitch, -sine, c1)
+                c0 = sample_horizon(view, depth, pyramid, g, -x, -y, level, start, pitch, sine, c0)
+            c1, c0 = wp.min(c1, 1.0), wp.min(c0, 1.0)
+            q = 1.0 - sine * sine
+            total += nv * ((1.0 - c1 * c1) + (1.0 - c0 * c0)) + nt * (arc_part(c0) - arc_part(c1))
+            open_total += nv * (q + q) + nt * (arc_part(sine) - arc_part(-sine))
         # No slice sees the normal, or something was not finite: nothing is known to block.
-        return wp.where(result >= 0.0 and open_total > 0.0, wp.min(result, 1.0), 1.0)
+        if not (open_total > 0.0 and wp.isfinite(total)):
+            return wp.float32(1.0)
+        return wp.clamp(total / open_total, 0.0, 1.0)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def ambient_visibility_kernel(
@@ -291,6 +330,7 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
         pattern: wp.array[wp.vec4],
         # Params
         radius: wp.float32,
+        falloff: wp.float32,
         first: wp.int32,
         # Out
         out_words: wp.array[wp.uint32],
@@ -310,28 +350,31 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
         i = pixel_index(view, x, y)
         if wp.static(not half):
             target = i
-        d = gbuffer.depth[i]
+        d = load_float(gbuffer.depth, i)
         if not wp.isfinite(d):
             out_words[target] = OPEN_WORD
             return
+        affine = affine_depth(view, d)
         g = Gather()
-        g.px = wp.float32(x) + 0.5
-        g.py = wp.float32(y) + 0.5
+        g.x = wp.float32(x)
+        g.y = wp.float32(y)
         g.inverse = wp.vec2(1.0 / view.scale[0], 1.0 / view.scale[1])
-        g.point = point_in_view(view, g.px, g.py, d, g.inverse)
+        g.shift = wp.vec2((0.5 - view.center[0]) * g.inverse[0], (0.5 - view.center[1]) * g.inverse[1])
+        g.point = wp.vec3(g.x * g.inverse[0] + g.shift[0], g.y * g.inverse[1] + g.shift[1], -d)
         ball = RADIUS_SCALE * radius
         g.radius2 = ball * ball
-        g.slope = wp.static(1.0 / (1.0 - float(FALLOFF_START))) / g.radius2
+        g.slope = falloff
         g.towards = wp.vec3(0.0, 0.0, 1.0)
         reach = wp.float32(ball)
         if view.projection != ORTHOGRAPHIC:
+            g.point = wp.vec3(g.point[0] * d, g.point[1] * d, -d)
             g.towards = g.point * (-fast_rsqrt(wp.dot(g.point, g.point)))
-            reach = ball / d
+            reach = ball * affine
         # Where the radius exceeds the view, its samples would miss it.
         reach = wp.min(reach, 0.5 * wp.float32(wp.max(view.width, view.height)) * wp.abs(g.inverse[0]))
-        nearest = NEAREST_PX * wp.abs(g.inverse[0]) / reach
-        g.normal = view.rotation * decode(gbuffer, i).normal
+        g.normal = view.rotation * decode(gbuffer, i).normal * ELEVATION
+        nearest = NEAREST_PX * wp.abs(g.inverse[0])
         v = visibility_of(view, gbuffer.depth, pyramid, pattern, g, reach, nearest, phase)
-        out_words[target] = pack_visibility(affine_depth(view, d), v)
+        out_words[target] = pack_visibility(affine, v)
 
     return ambient_visibility_kernel

@@ -60,6 +60,24 @@ def load_vec4i(values: wp.array[wp.vec4i], index: wp.int32) -> wp.vec4i:
     ...
 
 
+@wp.func_native("return values.data[index];")
+def load_float(values: wp.array[wp.float32], index: wp.int32) -> wp.float32:
+    """Load a float of a dense array by an index >= 0; Warp's own load adds a length and a stride: 6 instructions."""
+    ...
+
+
+@wp.func_native("return values.data[index];")
+def load_word(values: wp.array[wp.uint32], index: wp.int32) -> wp.uint32:
+    """Load a word of a dense array by an index >= 0, as `load_float` does."""
+    ...
+
+
+@wp.func_native("return values.data[index];")
+def load_double_word(values: wp.array[wp.uint64], index: wp.int32) -> wp.uint64:
+    """Load a double word of a dense array by an index >= 0, as `load_float` does."""
+    ...
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     reinterpret_cast<uint4*>(values.data + index)[0] = make_uint4(0, 0, 0, 0);

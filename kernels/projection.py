@@ -25,14 +25,14 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.func
 def pixel_in_block(thread: wp.int32):
     """Place of a thread inside its block of pixels: (x, y), 8 x 8."""
-    lane = thread % PIXEL_BLOCK_AREA
-    return wp.vec2i(lane % PIXEL_BLOCK, lane // PIXEL_BLOCK)
+    # Masks: division of what may be negative takes several instructions.
+    return wp.vec2i(thread & (PIXEL_BLOCK - 1), (thread & (PIXEL_BLOCK_AREA - 1)) // PIXEL_BLOCK)
 
 
 @wp.func
 def pixel_index(view: View, x: wp.int32, y: wp.int32):
     """Index of a pixel in the arena; arenas are below 2^31 pixels, which the plan checks."""
-    return wp.int32(view.pixel_offset + wp.int64(y) * wp.int64(view.row_pitch)) + x
+    return wp.int32(view.pixel_offset) + y * view.row_pitch + x
 
 
 @wp.func

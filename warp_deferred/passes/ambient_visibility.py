@@ -104,7 +104,9 @@ class AmbientVisibilityPass(Pass):
 
     def _gather_parameters(self) -> list[float]:
         settings = self.request.settings.ambient_visibility
-        return [settings.samples, self.radius, settings.bias] if self.rung() == "ssao" else [self.radius]
+        if self.rung() == "ssao":
+            return [settings.samples, self.radius, settings.bias]
+        return [self.radius, gtao.falloff_of(self.radius)]
 
     def _trace(self, resources: Resources) -> None:
         settings = self.request.settings.ambient_visibility
