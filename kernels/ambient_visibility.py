@@ -313,7 +313,7 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
             c1, c0 = wp.min(c1, 1.0), wp.min(c0, 1.0)
             q = 1.0 - sine * sine
             total += nv * ((1.0 - c1 * c1) + (1.0 - c0 * c0)) + nt * (arc_part(c0) - arc_part(c1))
-            open_total += nv * (q + q) + nt * (arc_part(sine) - arc_part(-sine))
+            open_total += nv * (q + q) + nt * (2.0 * arc_part(sine))
         # No slice sees the normal, or something was not finite: nothing is known to block.
         if not (open_total > 0.0 and wp.isfinite(total)):
             return wp.float32(1.0)
