@@ -160,6 +160,27 @@ def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32,
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    __shared__ float4 pixels[324];
+    if (storing) {
+        pixels[index] = make_float4(value[0], value[1], value[2], value[3]);
+        return value;
+    }
+    const float4 v = pixels[index];
+    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+#else
+    return value;
+#endif
+""")
+def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
+    """Store to, or read from, 18 x 18 pixels, 5184 bytes, that the block's lanes share; sync between the two.
+
+    The CPU, where a block is one lane, shares nothing: there it returns `value`, which the caller has to compute.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return 1.055f * __powf(value, 0.41666667f) - 0.055f;
 #else
     const float r2 = ::sqrtf(value), r4 = ::sqrtf(r2), r8 = ::sqrtf(r4);
