@@ -22,8 +22,8 @@ from .ambient_visibility import OPEN_WORD, affine_depth, fetch_point, pack_visib
 from .ambient_visibility_traced import cosine_directions, tangent_of
 from .encoding import make_gbuffer_codec
 from .intrinsics import load_vec4, load_vec4i
-from .projection import pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, PIXEL_BLOCK_AREA, GBuffer, View
+from .projection import pixel_block, pixel_in_block, pixel_index
+from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, GBuffer, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -82,7 +82,7 @@ def make_ambient_visibility_ssao_kernel(codec: tuple):
         out_words: wp.array[wp.uint32],
     ):
         thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+        block = load_vec4i(blocks, pixel_block(thread))
         view = views[block[0]]
         place = pixel_in_block(thread)
         x, y = block[1] + place[0], block[2] + place[1]

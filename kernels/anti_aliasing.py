@@ -29,8 +29,8 @@ import warp as wp
 
 from .color import srgb_code
 from .intrinsics import load_vec4i, load_word, weigh_bytes
-from .projection import pixel_in_block, pixel_index
-from .structs import PIXEL_BLOCK_AREA, View
+from .projection import pixel_block, pixel_in_block, pixel_index
+from .structs import View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -166,7 +166,7 @@ def anti_aliasing_kernel(
 ):
     """One thread a pixel, over the table of blocks."""
     thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    block = load_vec4i(blocks, pixel_block(thread))
     place = pixel_in_block(thread)
     view = views[block[0]]
     x, y = block[1] + place[0], block[2] + place[1]

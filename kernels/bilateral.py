@@ -29,8 +29,8 @@ import warp as wp
 from .ambient_visibility import DEPTH_MASK, OPEN_WORD, half_index, point_in_view
 from .encoding import make_gbuffer_codec
 from .intrinsics import bits_float, load_float, load_vec4i, load_word
-from .projection import pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, PIXEL_BLOCK_AREA, GBuffer, View
+from .projection import pixel_block, pixel_in_block, pixel_index
+from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, GBuffer, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -95,7 +95,7 @@ def add_neighbour(
     own: wp.float32,
     sharp: wp.float32,
 ):
-    """(weighted difference of codes, weight) after one more neighbour; `line` is the affine depth a flat surface would have.
+    """(weighted difference of codes, weight) after one more neighbour; `line` is a flat surface's affine depth.
 
     A neighbour counts nothing 1 / tightness or more off the line, nor where its code lies 1 / sharp or more from the
     pixel's `own`; sharp 0: always.
@@ -187,7 +187,7 @@ def blur_words_kernel(
     A wide blur takes every third pixel and leaves alone what has a small radius.
     """
     thread = wp.tid() + first
-    tile = load_vec4i(tiles, thread // PIXEL_BLOCK_AREA)
+    tile = load_vec4i(tiles, pixel_block(thread))
     view = views[tile[0]]
     place = pixel_in_block(thread)
     x, y = (tile[1] >> half) + place[0], (tile[2] >> half) + place[1]
@@ -228,7 +228,7 @@ def blur_final_kernel(
 ):
     """Wide blur along columns of the full image, and finish: visibility in [0, 1], 1 on the background."""
     thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    block = load_vec4i(blocks, pixel_block(thread))
     view = views[block[0]]
     place = pixel_in_block(thread)
     x, y = block[1] + place[0], block[2] + place[1]
@@ -254,27 +254,27 @@ def make_upsample_kernel(codec: tuple):
     @wp.func
     def add_point(
         view: View,
-        words: wp.array[wp.uint32],
-        x: wp.int32,
-        y: wp.int32,
+        word: wp.uint32,
         share: wp.float32,
-        plane: wp.vec4,
-        inverse: wp.vec2,
+        across: wp.float32,
+        plane: wp.vec2,
         tightness: wp.float32,
         sums: wp.vec2,
     ):
-        """(weighted visibility, weight) after the half-size pixel (x, y), if there is one; plane is normal, offset."""
-        if x * 2 >= view.width or y * 2 >= view.height or share == 0.0:
+        """(weighted visibility, weight) after a half-size pixel.
+
+        across is the normal's x and y parts times the pixel's x / depth and y / depth (orthographic: x and y); plane is
+        the normal's z and the plane's offset.
+        """
+        if share == 0.0:
             return sums
-        word = load_word(words, half_index(view, x, y))
         weight = STRANGER * share
         if word != OPEN_WORD:
-            depth = word_depth(word)
+            affine = word_depth(word)
+            height = across - plane[0] * affine
             if view.projection != ORTHOGRAPHIC:
-                depth = 1.0 / depth
-            point = point_in_view(view, 2.0 * wp.float32(x) + 0.5, 2.0 * wp.float32(y) + 0.5, depth, inverse)
-            apart = wp.abs(plane[0] * point[0] + plane[1] * point[1] + plane[2] * point[2] - plane[3])
-            near = 1.0 - apart * tightness
+                height = (across - plane[0]) * (1.0 / affine)
+            near = 1.0 - wp.abs(height - plane[1]) * tightness
             if near > 0.0:
                 weight += share * near
         return sums + wp.vec2(weight * word_visibility(word), weight)
@@ -295,7 +295,7 @@ def make_upsample_kernel(codec: tuple):
         out_visibility: wp.array[wp.float32],
     ):
         thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+        block = load_vec4i(blocks, pixel_block(thread))
         view = views[block[0]]
         place = pixel_in_block(thread)
         x, y = block[1] + place[0], block[2] + place[1]
@@ -306,22 +306,31 @@ def make_upsample_kernel(codec: tuple):
         if not wp.isfinite(d):
             out_visibility[i] = 1.0
             return
-        inverse = wp.vec2(1.0 / view.scale[0], 1.0 / view.scale[1])
-        point = point_in_view(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, d, inverse)
-        n = view.rotation * decode(gbuffer, i).normal
-        plane = wp.vec4(n[0], n[1], n[2], wp.dot(n, point))
-        # Half-size pixel k is pixel 2 k: an odd pixel stands midway between two.
-        hx, hy = x >> 1, y >> 1
-        sx, sy = 0.5 * wp.float32(x & 1), 0.5 * wp.float32(y & 1)
-        # A depth's 16 bits are no nearer than this.
-        tightness = 1.0 / (TOLERANCE * radius + 2.0e-4 * wp.abs(d))
-        sums = wp.vec2(0.0, 0.0)
-        sums = add_point(view, words, hx, hy, (1.0 - sx) * (1.0 - sy), plane, inverse, tightness, sums)
-        sums = add_point(view, words, hx + 1, hy, sx * (1.0 - sy), plane, inverse, tightness, sums)
-        sums = add_point(view, words, hx, hy + 1, (1.0 - sx) * sy, plane, inverse, tightness, sums)
-        sums = add_point(view, words, hx + 1, hy + 1, sx * sy, plane, inverse, tightness, sums)
-        v = wp.float32(1.0)
-        if sums[1] > 0.0:
+        # Half-size pixel k is pixel 2 k: an odd pixel stands midway between two, if there are two.
+        pitch, k = view.bins_x * 8, half_index(view, x >> 1, y >> 1)
+        right = wp.where((x & 1) != 0 and x + 1 < view.width, 1, 0)
+        below = wp.where((y & 1) != 0 and y + 1 < view.height, 1, 0)
+        w00, w10 = load_word(words, k), load_word(words, k + right)
+        w01, w11 = load_word(words, k + below * pitch), load_word(words, k + below * pitch + right)
+        v = word_visibility(w00)
+        # As in the blur: an average of equals needs no weights.
+        if (((w10 ^ w00) | (w01 ^ w00) | (w11 ^ w00)) & wp.uint32(255)) != wp.uint32(0):
+            inverse = wp.vec2(1.0 / view.scale[0], 1.0 / view.scale[1])
+            n = view.rotation * decode(gbuffer, i).normal
+            point = point_in_view(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, d, inverse)
+            plane = wp.vec2(n[2], wp.dot(n, point))
+            tx, ty = n[0] * inverse[0], n[1] * inverse[1]
+            px, py = wp.float32(x & -2) + 0.5 - view.center[0], wp.float32(y & -2) + 0.5 - view.center[1]
+            left, up = tx * px, ty * py
+            rim, foot = tx * (px + 2.0), ty * (py + 2.0)
+            sx, sy = 0.5 * wp.float32(right), 0.5 * wp.float32(below)
+            # A depth's 16 bits are no nearer than this.
+            tightness = 1.0 / (TOLERANCE * radius + 2.0e-4 * wp.abs(d))
+            sums = wp.vec2(0.0, 0.0)
+            sums = add_point(view, w00, (1.0 - sx) * (1.0 - sy), left + up, plane, tightness, sums)
+            sums = add_point(view, w10, sx * (1.0 - sy), rim + up, plane, tightness, sums)
+            sums = add_point(view, w01, (1.0 - sx) * sy, left + foot, plane, tightness, sums)
+            sums = add_point(view, w11, sx * sy, rim + foot, plane, tightness, sums)
             v = sums[0] / sums[1]
         out_visibility[i] = final_visibility(v, power)
 

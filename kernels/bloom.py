@@ -34,7 +34,7 @@ from .intrinsics import (
     shared_pixels,
     unpack_half3,
 )
-from .projection import pixel_in_block, pixel_index
+from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, BloomLevel, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -225,7 +225,7 @@ def make_bright_kernel(half: bool, weighted: bool):
         out_texels: wp.array[wp.uint64],
     ):
         thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+        block = load_vec4i(blocks, pixel_block(thread))
         place = pixel_in_block(thread)
         level = bloom.levels[block[3]]
         view = views[block[0]]
@@ -272,7 +272,7 @@ def downsample_kernel(
 ):
     """Fill a level from the next finer one."""
     thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    block = load_vec4i(blocks, pixel_block(thread))
     place = pixel_in_block(thread)
     level = levels[block[3]]
     x, y = block[1] + place[0], block[2] + place[1]
@@ -296,7 +296,7 @@ def upsample_kernel(
 ):
     """Mix the wider levels into a level, in place."""
     thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    block = load_vec4i(blocks, pixel_block(thread))
     place = pixel_in_block(thread)
     level = levels[block[3]]
     x, y = block[1] + place[0], block[2] + place[1]
@@ -304,7 +304,9 @@ def upsample_kernel(
         return
     i = level.first + y * level.width + x
     wider = tent(out_texels, levels[block[3] + 1], x, y)
-    out_texels[i] = half_texel(unpack_half3(load_double_word(out_texels, i)) * (1.0 - level.wider) + wider * level.wider)
+    out_texels[i] = half_texel(
+        unpack_half3(load_double_word(out_texels, i)) * (1.0 - level.wider) + wider * level.wider
+    )
 
 
 @wp.kernel(grid_stride=False)
@@ -327,7 +329,7 @@ def gather_kernel(
     3, 49 loads a texel, 25 million at 1080p.
     """
     thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+    block = load_vec4i(blocks, pixel_block(thread))
     place = pixel_in_block(thread)
     level = levels[block[3]]
     x, y = block[1] + place[0], block[2] + place[1]

@@ -16,8 +16,8 @@ from __future__ import annotations
 import warp as wp
 
 from .intrinsics import load_vec4i
-from .projection import pixel_in_block, pixel_index
-from .structs import PIXEL_BLOCK_AREA, View
+from .projection import pixel_block, pixel_in_block, pixel_index
+from .structs import View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -57,7 +57,7 @@ def fill_pyramid_kernel(
 ):
     """Depths of all levels. Reads a third of the depths' sectors at least once, writes 1.33 bytes a pixel."""
     thread = wp.tid() + first
-    tile = load_vec4i(bin_tiles, thread // PIXEL_BLOCK_AREA)
+    tile = load_vec4i(bin_tiles, pixel_block(thread))
     place = pixel_in_block(thread)
     view = views[tile[0]]
     if view.depth_only != 0:

@@ -30,6 +30,12 @@ def pixel_in_block(thread: wp.int32):
 
 
 @wp.func
+def pixel_block(thread: wp.int32):
+    """Row of a thread, >= 0, in the table of its blocks of pixels."""
+    return wp.int32(wp.uint32(thread) // wp.uint32(PIXEL_BLOCK_AREA))
+
+
+@wp.func
 def pixel_index(view: View, x: wp.int32, y: wp.int32):
     """Index of a pixel in the arena; arenas are below 2^31 pixels, which the plan checks."""
     return wp.int32(view.pixel_offset) + y * view.row_pitch + x
