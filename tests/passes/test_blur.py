@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from builders import Spy, assert_same, gallery, images
+from builders import assert_same, gallery, images, spied
 
 import warp_deferred as wd
 from warp_deferred.passes.blur import GaussianBlur, gaussian_weights
@@ -103,9 +103,7 @@ def test_no_width_is_neutral_to_the_bit(outputs, device):
 def test_a_second_frame_makes_nothing_new(device):
     renderer = renderer_of(device, "rung=gaussian", outputs=("color", "display"))
     first = images(renderer.render())
-    with Spy() as spy:
-        second = images(renderer.render())
-    spy.assert_nothing()
+    second = images(spied(renderer))
     assert_same(first, second)
     assert "gaussian, 2 px" in str(renderer.explain(measure=False))
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import reference
 import warp as wp
-from builders import Spy, gallery, images
+from builders import gallery, images, spied
 from warp_deferred.kernels import debug_view as kernels
 from warp_deferred.kernels import structs
 from warp_deferred.kernels.image import Image
@@ -219,9 +219,7 @@ def test_what_a_view_does_not_need_is_not_run(view, device):
     assert ("ambient_visibility" in names) == (view in ("ambient_visibility", "invalid"))
     first = images(frame)
     assert np.array_equal(first["depth"], buffers(device, "depth")["depth"])
-    with Spy() as spy:
-        second = images(renderer.render())
-    spy.assert_nothing()
+    second = images(spied(renderer))
     assert np.array_equal(first["display"], second["display"])
     report = str(renderer.explain(measure=False))
     assert f"display.view is {view}" in report.replace("\n", " ")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from builders import Spy, assert_same, bits, gallery, grid, images, tilt
+from builders import assert_same, bits, gallery, grid, images, spied, tilt
 from warp_deferred.scenes import focus
 
 import warp_deferred as wd
@@ -168,12 +168,10 @@ def test_pulling_focus_makes_nothing_new(rung, device):
     scene = focus.build()
     renderer = renderer_of(device, rung, scene=scene)
     seen = [images(renderer.render())]
-    with Spy() as spy:
-        for time in (0.7, 6.0):
-            focus.animate(scene, time)
-            seen.append(images(renderer.render()))
-        renderer.render(scene.camera.replace(aperture=0.02))
-    spy.assert_nothing()
+    for time in (0.7, 6.0):
+        focus.animate(scene, time)
+        seen.append(images(spied(renderer)))
+    spied(renderer, scene.camera.replace(aperture=0.02))
     assert not np.array_equal(seen[0]["color"], seen[1]["color"])
     assert not np.array_equal(seen[1]["color"], seen[2]["color"])
     assert_same(images(renderer_of(device, rung, scene=scene).render()), seen[2])

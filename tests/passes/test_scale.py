@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from builders import Spy, gallery, images
+from builders import gallery, images, spied
 from warp_deferred.kernels.scale import NOISE, STRETCH
 
 import warp_deferred as wd
@@ -162,9 +162,7 @@ def test_outputs_of_another_size_are_refused(outputs):
 def test_a_second_frame_makes_nothing_new(device):
     renderer = renderer_of(device, "scale.rung=half")
     first = images(renderer.render())
-    with Spy() as spy:
-        second = images(renderer.render())
-    spy.assert_nothing()
+    second = images(spied(renderer))
     assert np.array_equal(first["display"], second["display"])
 
 
