@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
-from builders import images
-from shadow_scenes import mixed_scene, render, with_rung
+import warp as wp
+from builders import images, tilt
+from shadow_scenes import MAPS, RUNGS, drawn, mixed_scene, plate_scene, render, with_rung
 
 import warp_deferred as wd
+from warp_deferred.sampling import sample_table
+
+SHUTTER = ("motion_blur.rung=shutter_samples", "motion_blur.samples=16", "ambient_visibility.rung=off")
 
 
 @pytest.mark.parametrize("rung", ["pcf", "ray_traced"])
@@ -25,3 +29,111 @@ def test_samples_share_the_maps_of_their_frame(rung, device):
     )
     for _ in range(2):
         assert np.array_equal(images(renderer.render())["diffuse"], kept)
+
+
+def shot(kind, time, *, travel=0.5, turn_deg=0.0):
+    """Return a plate on its way over a floor, seen by a camera that may turn; the way ends at time 1."""
+    scene = plate_scene(kind)
+    scene.instances[1].transform = tilt(-90.0, 0.0, 1.0, (travel * (time - 1.0), 1.0, 0.0))
+    a = np.radians(turn_deg) * (time - 1.0)
+    place = np.array([-1.2, 3.0, 2.6])
+    ahead = np.array([1.0, -3.0, -2.6])
+    ahead[[0, 2]] = np.cos(a) * ahead[0] - np.sin(a) * ahead[2], np.sin(a) * ahead[0] + np.cos(a) * ahead[2]
+    scene.camera = wd.Camera.look_at(place, place + ahead, vertical_fov_deg=50.0, shutter=1.0)
+    scene.environment = wd.Environment(ambient=(0.3, 0.3, 0.3))
+    scene.animate = lambda scene, time: None
+    return scene
+
+
+def renderer_of(scene, rung, device, *values, outputs=("color",)):
+    settings = with_rung(rung, *SHUTTER, *values)
+    return wd.Renderer(scene, width=96, height=72, device=device, outputs=outputs, settings=settings)
+
+
+def show(renderer, kind, time, **way):
+    """Render the shot at a time with a renderer made for it before."""
+    now = shot(kind, time, **way)
+    for mine, other in zip(renderer.scene.instances, now.instances, strict=True):
+        mine.transform = other.transform
+    return images(renderer.render(now.camera))["color"]
+
+
+def blurred_and_mean(kind, rung, device, *values, **way):
+    """Return a frame of several samples whose shutter is open all the way, and the mean of frames at their times."""
+    renderer = renderer_of(shot(kind, 0.0, **way), rung, device, *values)
+    renderer.render()
+    blurred = show(renderer, kind, 1.0, **way)
+    single = renderer_of(shot(kind, 0.0, **way), rung, device, *values, "motion_blur.rung=off")
+    times = 1.0 - sample_table(renderer.plan.request, False)[:, 4]
+    assert len(times) == 16 and renderer.plan.replays == 17
+    frames = [show(single, kind, float(time), **way) for time in times]
+    return blurred, np.mean(frames, axis=0, dtype=np.float64), frames
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot", "point"])
+@pytest.mark.parametrize("rung", RUNGS)
+def test_a_moving_casters_shadow_is_the_mean_of_those_at_its_times(kind, rung, device):
+    blurred, expected, frames = blurred_and_mean(kind, rung, device)
+    assert np.abs(frames[0] - frames[-1]).max() > 0.1
+    # Poses in between are interpolated on the device: at most a few pixels may see another edge.
+    assert np.mean(np.abs(blurred - expected) > 1e-5) < 1e-3
+
+
+@pytest.mark.parametrize("rung", ["hard", "pcf"])
+def test_cascades_follow_a_camera_that_turns_while_the_shutter_is_open(rung, device):
+    # The scene reaches farther than the maps: fitted to the frame's own camera they would end too early in the picture
+    # of another time, and 0.002 of the pixels and more be lit in place of shaded.
+    way = {"travel": 0.0, "turn_deg": 45.0}
+    blurred, expected, _ = blurred_and_mean("directional", rung, device, "shadow.distance_m=5", **way)
+    assert np.mean(np.abs(blurred - expected) > 1e-3) < 5e-4
+
+
+@pytest.mark.parametrize("keep", ["true", "false"])
+def test_only_what_moves_is_drawn_in_every_sample(keep, device):
+    scene = shot("spot", 0.0)
+    # A lamp so far from the plate that nothing moves in its maps.
+    scene.lights.add(wd.PointLight(position=(60.0, 2.0, 0.0), range=5.0, intensity=5.0, casts_shadow=True))
+    renderer = renderer_of(scene, "pcf", device, f"shadow.keep_maps={keep}")
+    renderer.render()
+    scene.instances[1].transform = shot("spot", 1.0).instances[1].transform
+    renderer._update()
+    program, views = renderer.plan.resources.program, renderer.plan.resources.frame
+    (first, _), (each, count), _ = program.parts
+    for section in first:
+        program.run_section(section)
+    found = []
+    for _ in range(count):
+        for section in each:
+            program.run_section(section)
+        views.sampling = True
+        found.append(views.views.numpy()["skipped"][1:] == 0)
+    found = np.array(found)
+    lamp, spot = found[:, :6], found[:, 6]
+    assert count == 17 and found.shape == (17, 7)
+    assert spot.all() and not lamp[1:].any() and lamp[0].all() == (keep == "false")
+
+
+def test_bound_points_are_drawn_once_a_frame(device):
+    scene = plate_scene("spot")
+    plate = scene.instances[1].mesh
+    scene.bind_points(plate, wp.array(plate.positions, dtype=wp.vec3, device=device))
+    renderer = renderer_of(scene, "pcf", device, "anti_aliasing.rung=samples_4")
+    expected = render(plate_scene("spot"), "pcf", device, "anti_aliasing.rung=samples_4", names=("color",))["color"]
+    for _ in range(2):
+        assert np.abs(images(renderer.render())["color"] - expected).max() < 1e-4
+        # What the last sample drew, which is no longer the first.
+        renderer.plan.resources.frame.sampling = True
+        assert not drawn(renderer).any()
+
+
+@pytest.mark.parametrize("rung", MAPS)
+def test_explain_tells_when_samples_draw_maps(rung):
+    def reason(scene, *values):
+        renderer = renderer_of(scene, rung, "cpu", *values)
+        renderer.render()
+        return {r.name: r for r in renderer.explain(measure=False).rows}["shadow"].reason
+
+    assert reason(shot("spot", 0.0)).endswith("; samples draw anew what the shutter moves")
+    still = plate_scene("spot")
+    assert reason(still) == "1 light casts shadows"
+    assert reason(still, "anti_aliasing.rung=samples_4") == "1 light casts shadows; samples share the maps"

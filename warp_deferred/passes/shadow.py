@@ -55,9 +55,12 @@ class ShadowPass(Pass):
         self.params.distance = settings.distance_m or math.inf
         self.params.split_blend = settings.split_blend
         self.params.tangent = light_tangent(self.request)
-        self.params.keep = int(keeps_maps(self.request))
+        self.params.keep = int(settings.keep_maps)
+        # Accumulating reads the counter last, so it lives as long as this pass needs it; 0 in frames of one sample.
+        self.counter = resources.channel("sample_counter", wp.int32)
         self.states = wp.zeros(count, dtype=wp.int32, device=resources.device)
-        if self.params.keep:
+        self.keeps = keeps_maps(self.request)
+        if self.keeps:
             instances = resources.scene.instance_count
             self.before = wp.zeros(instances, dtype=structs.Transform, device=resources.device)
             self.moved = wp.zeros(instances + 1, dtype=wp.int32, device=resources.device)
@@ -111,11 +114,11 @@ class ShadowPass(Pass):
         program.launch(
             kernels.place_slots_kernel,
             count,
-            [resources.frame.uploaded, resources.lights.source, self.slots, self.bounds, self.params],
+            [resources.frame.middle, resources.lights.source, self.slots, self.bounds, self.counter, self.params],
             [resources.frame.views, resources.channels["shadow_rows"], self.states],
             block_dim=kernels.BLOCK_DIM,
         )
-        if self.params.keep:
+        if self.keeps:
             self._keep(resources)
 
     def _keep(self, resources: Resources) -> None:
@@ -125,9 +128,8 @@ class ShadowPass(Pass):
         program, block = resources.program, shadow_keep.BLOCK_DIM
         geometry, views, first = resources.scene.geometry, resources.frame.views, self.request.cameras
         count, instances = self.request.shadow_slots, resources.scene.instance_count
-        program.launch(
-            shadow_keep.note_moves_kernel, instances, [geometry, self.before, self.bound], [self.moved], block_dim=block
-        )
+        inputs = [geometry, self.before, self.bound, self.counter]
+        program.launch(shadow_keep.note_moves_kernel, instances, inputs, [self.moved], block_dim=block)
         program.launch(
             shadow_keep.touch_slots_kernel,
             (count, instances),
