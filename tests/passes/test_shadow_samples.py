@@ -137,3 +137,61 @@ def test_explain_tells_when_samples_draw_maps(rung):
     still = plate_scene("spot")
     assert reason(still) == "1 light casts shadows"
     assert reason(still, "anti_aliasing.rung=samples_4") == "1 light casts shadows; samples share the maps"
+
+
+LENS = ("depth_of_field.rung=lens_samples", "depth_of_field.samples=16")
+
+
+def lens_frames(scene, rung, device, *values, names=("diffuse",)):
+    """Render with a pinhole and through a wide lens; return the images and the views of the maps of both."""
+    scene.environment = wd.Environment()
+    results, maps = [], []
+    for aperture in (0.0, 0.3):
+        settings = with_rung(rung, *LENS, *values)
+        renderer = wd.Renderer(scene, width=64, height=48, device=device, outputs=names, settings=settings)
+        renderer.render(scene.camera.replace(aperture=aperture, focus_distance=3.6))
+        results.append(images(renderer.render(scene.camera.replace(aperture=aperture, focus_distance=3.6))))
+        frame = renderer.plan.resources.frame
+        frame.sampling = True
+        maps.append(frame.views.numpy()[1:].copy())
+        assert renderer.plan.replays == (16 if aperture else 1)
+    return results, maps
+
+
+@pytest.mark.parametrize("rung", MAPS)
+def test_points_of_the_lens_share_the_maps_of_its_middle(rung, device):
+    (sharp, soft), (one, many) = lens_frames(mixed_scene(), rung, device)
+    assert len(one) == 17 and one["scale"].any()
+    for name in ("origin", "rotation", "scale", "near", "far"):
+        assert np.array_equal(one[name], many[name]), name
+    # The last sample, and the last frame, drew none of them.
+    assert many["skipped"].all() and not np.array_equal(sharp["diffuse"], soft["diffuse"])
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot", "point"])
+@pytest.mark.parametrize("rung", RUNGS)
+def test_s1_a_lit_plane_does_not_shadow_itself_through_a_lens(kind, rung, device):
+    scene = plate_scene(kind)
+    # Off the floor's own plane there is nothing: every sample must see all of the light, to the bit.
+    scene.instances[1].transform = tilt(-90.0, 0.0, 1.0, (0.0, -5.0, 0.0))
+    (_, soft), _ = lens_frames(scene, rung, device)
+    (_, whole), _ = lens_frames(scene, "off", device)
+    assert np.array_equal(soft["diffuse"], whole["diffuse"]) and whole["diffuse"].any()
+
+
+@pytest.mark.parametrize("kind", ["directional", "spot", "point"])
+def test_maps_through_a_lens_come_as_near_to_rays_as_without(kind, device):
+    """The bound is half as much again: acne, or light that comes in under the box, would show in every sample."""
+    scene = mixed_scene()
+    for other, (_, group) in zip(("point", "spot", "directional"), scene.lights.groups(), strict=True):
+        if other != kind:
+            group.intensity = np.zeros(len(group))
+    values = ("shadow.samples=32", "shadow.directional_size=1024", "shadow.spot_size=512", "shadow.point_size=512")
+    rays, _ = lens_frames(scene, "ray_traced", device, *values)
+    total = rays[1]["diffuse"].sum(dtype=np.float64)
+    for rung in MAPS:
+        maps, _ = lens_frames(scene, rung, device, *values)
+        sharp, soft = (np.abs(a["diffuse"] - b["diffuse"]) for a, b in zip(maps, rays, strict=True))
+        assert soft.mean() <= 1.5 * sharp.mean() and soft.max() <= 1.5 * sharp.max(), rung
+        # As much light in all: neither a shadow nor its foot is lost.
+        assert abs(maps[1]["diffuse"].sum(dtype=np.float64) / total - 1.0) < 0.005, rung
