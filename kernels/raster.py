@@ -150,7 +150,8 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
             wp.int64(edge_threshold(a1, b1)),
             wp.int64(edge_threshold(a2, b2)),
         )
-        area = wp.float32(wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0]))
+        area = wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0])
+        inverse = 1.0 / wp.float32(area)
         for py in range(box[1], box[3] + 1):
             y = py * 256 + 128
             for px in range(box[0], box[2] + 1):
@@ -159,7 +160,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
                 e1 = wp.int64(a1) * wp.int64(x - t.p2[0]) + wp.int64(b1) * wp.int64(y - t.p2[1])
                 e2 = wp.int64(a2) * wp.int64(x - t.p0[0]) + wp.int64(b2) * wp.int64(y - t.p0[1])
                 if e0 >= l0 and e1 >= l1 and e2 >= l2:
-                    z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
+                    z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), inverse, t.z))
                     if z >= 0.0 and keep_fragment(view, pair, geometry, material, v, px, py):
                         write_fragment(view, target, pixel_index(view, px, py), z, t.id, True)
 
