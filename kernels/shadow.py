@@ -40,7 +40,7 @@ class ShadowParams:
     distance: wp.float32  # depth up to which directional lights cast [m], inf: as far as the scene reaches
     split_blend: wp.float32
     tangent: wp.float32  # of a directional light's angular radius
-    keep: wp.int32  # 1: keep what need not be drawn anew
+    keep: wp.int32  # 1: keep maps from frame to frame; 0: from sample to sample alone
 
 
 @wp.func
@@ -269,6 +269,7 @@ def place_slots_kernel(
     source: LightSource,
     slots: wp.array[wp.vec4i],
     bounds: wp.array[wp.float32],
+    counter: wp.array[wp.int32],
     # Params
     params: ShadowParams,
     # Out
@@ -287,7 +288,7 @@ def place_slots_kernel(
     eye = wp.vec3d()
     if usable(source, light):
         if kind == SLOT_CASCADE:
-            # As uploaded, not as a sample moves it: else each sample would have maps of its own.
+            # Not as a sample moves it within pixel and lens: else each sample would have maps of its own.
             camera = cameras[slot[3]]
             extent = extent_of(camera, bounds, params.distance)
             if extent[0] < extent[1]:
@@ -300,7 +301,7 @@ def place_slots_kernel(
             result = local_view(view, source, light, kind, part, params.border)
             state = wp.int32(1)
             size = source.source_radius[light]
-    if state == 1 and params.keep != 0 and same_view(result, view):
+    if state == 1 and (params.keep != 0 or counter[0] > 0) and same_view(result, view):
         state = wp.int32(0)
     if state == -1:
         # No slot that is drawn has such planes: once its light is back, its view is another one.
