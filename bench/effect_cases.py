@@ -66,12 +66,14 @@ class EffectCase:
 
     Attributes:
         name: Name of the case: the effect's, or that with more words.
-        source: Built-in scene with its parameters, which calls for it.
+        source: Built-in scene with its parameters.
         reference: The rung whose picture the others' are compared with; empty where no rung is nearer to the truth
             than another.
         effect: Stage of `Settings`; the case's name if left out.
         field: Its setting that is gone through.
+        leaves_out: Rungs that are not gone through.
         small: The scene in few triangles, for quick runs; `source` if left out.
+        change: What is changed after the scene is built, so that it calls for the effect.
         free: Takes back what calls for it; None where only its settings do.
         free_settings: Settings that take back what calls for it.
         idle: Leaves it called for with nothing to do on the device; None where nothing is decided there.
@@ -83,6 +85,7 @@ class EffectCase:
         centre: Middle of the cut, as shares of width and height.
         zoom: How large one pixel is shown in a strip [px].
         gain: Factor on differences from the reference, in a strip.
+        draws: Whether it has a strip.
     """
 
     name: str
@@ -90,7 +93,9 @@ class EffectCase:
     reference: str = ""
     effect: str = ""
     field: str = "rung"
+    leaves_out: tuple[str, ...] = ()
     small: str = ""
+    change: Callable[[Scene], None] | None = None
     free: Callable[[Scene], None] | None = None
     free_settings: tuple[str, ...] = ()
     idle: Callable[[Scene], None] | None = None
@@ -102,6 +107,14 @@ class EffectCase:
     centre: tuple[float, float] = (0.5, 0.5)
     zoom: int = 1
     gain: int = 4
+    draws: bool = True
+
+    def build(self) -> Scene:
+        """Build the scene and change it."""
+        scene = load(self.source)
+        if self.change is not None:
+            self.change(scene)
+        return scene
 
     @property
     def stage(self) -> str:
@@ -119,7 +132,7 @@ class EffectCase:
             return ("off", *(stage.name for stage in self.passes()))
         kind = Settings.model_fields.get(self.stage)
         known = kind.annotation.model_fields.get(self.field) if kind else None
-        return typing.get_args(known.annotation) if known else ()
+        return tuple(r for r in typing.get_args(known.annotation) if r not in self.leaves_out) if known else ()
 
     def at(self, settings: Settings, rung: str) -> Settings:
         """Change the rung."""
@@ -154,10 +167,24 @@ EFFECT_CASES: dict[str, EffectCase] = {
             centre=(0.55, 0.55),
             zoom=2,
         ),
+        EffectCase(
+            "shadow_cascades",
+            "terrain?triangles=500000&lights=1000",
+            effect="shadow",
+            small="terrain?triangles=2000&lights=20",
+            change=lambda scene: _moonlit(scene),
+            free=lambda scene: _cast(scene, False),
+            settings=("shadow.keep_maps=false", "shadow.cascades=4", "shadow.directional_size=2048"),
+            small_settings=("shadow.directional_size=256",),
+            leaves_out=("ray_traced",),
+            draws=False,
+        ),
         EffectCase("ambient_visibility", "corner", "ray_traced", free=_no_ambient, centre=(0.5, 0.6), zoom=2),
         # Twenty stops down nothing exceeds the threshold: bloom is in the plan, and skipped on the device.
-        EffectCase("bloom", "glow", "exact", free=_lens(bloom=0.0), idle=_lens(exposure=-20.0)),
-        EffectCase("depth_of_field", "focus", "lens_samples", free=_lens(aperture=0.0), centre=(0.4, 0.4), zoom=2),
+        EffectCase(
+            "bloom", "glow", "exact", free=_lens(bloom=0.0), idle=_lens(exposure=-20.0), centre=(0.5, 0.42), zoom=2
+        ),
+        EffectCase("depth_of_field", "focus", "lens_samples", free=_lens(aperture=0.0), centre=(0.28, 0.42), zoom=2),
         EffectCase(
             "motion_blur",
             "motion",
@@ -179,7 +206,7 @@ EFFECT_CASES: dict[str, EffectCase] = {
             **_SCALED,
         ),
         EffectCase("blur", "glow", free_settings=("blur.sigma_px=0",)),
-        EffectCase("tone_mapping", "glow", effect="display", field="tone_mapping"),
+        EffectCase("tone_mapping", "glow", effect="display", field="tone_mapping", centre=(0.5, 0.42), zoom=2),
         EffectCase("custom_pass", _HALL, small=_HILLS, passes=lambda: [Fog(color=(0.5, 0.6, 0.7), density=0.05)]),
     )
 }

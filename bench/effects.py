@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_deferred import Renderer, Scene, Settings, load
+from warp_deferred import Renderer, Settings
 from warp_deferred.compare import compare
 from warp_deferred.plan import Plan
 from warp_deferred.program import SAMPLE
@@ -31,7 +31,7 @@ __all__ = ["STEP", "open_case", "own_passes", "picture", "reason", "run"]
 #: Seconds from one frame of a moving scene to the next.
 STEP = 1.0 / 30.0
 #: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
-SLOW_MS, SLOW_REPEATS = 20.0, 10
+SLOW_MS, SLOW_REPEATS = 20.0, 5
 
 Row = dict[str, Any]
 
@@ -166,7 +166,7 @@ def open_case(
 
     Passes of a user's own belong to a renderer, not to settings: `rung` names the one that is wanted.
     """
-    scene: Scene = load(case.source)
+    scene = case.build()
     if change is not None:
         change(scene)
     passes = [stage for stage in case.passes() if stage.name == rung] if case.passes else []
@@ -237,7 +237,7 @@ def _rung(
     # What an effect adds to passes that run anyway: look-ups in shade, views in raster, more samples of all.
     shared = {name: times[name] - other[f"pass.{name}.ms"] for name in times if f"pass.{name}.ms" in other}
     row["shared.difference_ms"] = round(sum(shared.values()), 5)
-    row["shared.most"] = max(shared, key=lambda name: shared[name])
+    row["shared.passes"] = {name: round(value, 5) for name, value in shared.items()}
     if names:
         moved = {report.name: report.bytes or 0 for report in plan.reports(measure=False) if report.runs}
         own = sum(times[name] for name in names)
