@@ -83,6 +83,7 @@ class EffectCase:
         moving: Whether the scene must move from frame to frame for the effect to have work.
         size: Size of the picture a strip is cut from [px].
         centre: Middle of the cut, as shares of width and height.
+        sheet_centre: Middle of the cut on the sheet of all effects, where the picture is divided; `centre` if left out.
         zoom: How large one pixel is shown in a strip [px].
         gain: Factor on differences from the reference, in a strip.
         draws: Whether it has a strip.
@@ -105,6 +106,7 @@ class EffectCase:
     moving: bool = False
     size: tuple[int, int] = (480, 270)
     centre: tuple[float, float] = (0.5, 0.5)
+    sheet_centre: tuple[float, float] | None = None
     zoom: int = 1
     gain: int = 4
     draws: bool = True
@@ -192,6 +194,7 @@ EFFECT_CASES: dict[str, EffectCase] = {
             free=_lens(shutter=0.0),
             moving=True,
             centre=(0.45, 0.45),
+            sheet_centre=(0.36, 0.45),
             zoom=2,
         ),
         EffectCase("anti_aliasing", _HALL, "samples_64", small=_HILLS, centre=(0.22, 0.42), zoom=3),

@@ -6,6 +6,7 @@ the reference rung's, with the differences multiplied. The sheet has a cell for 
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ MOST_BYTES = 170_000
 CUT, SHRINK, ACROSS, GAP = (288, 192), 0.9, 3, 4
 #: Height of the bar a label stands in, and size of its letters [px].
 BAR, LETTERS = 18, 13
-#: Cases of the sheet, and the size of a cell in it [px]; pictures are made twice as large.
+#: Cases of the sheet, and the size of a cell in it [px]: the middle of a picture four times as wide, at half its size.
 SHEET, CELL = ("shadow", "ambient_visibility", "bloom", "depth_of_field", "motion_blur", "custom_pass"), (288, 162)
 
 
@@ -70,11 +71,7 @@ def run(device: wp.Device, out: Path, *, quick: bool, settings: Settings, note: 
         if len(pictures) > 1:
             paths.append(_write(strip_path(out, name), case, pictures))
         if name in SHEET and not only:
-            factor = 1 if quick else 2
-            wanted = (case.rungs()[0], case.default(settings))
-            pair = _pictures(case, (CELL[0] * factor, CELL[1] * factor), wanted, device, settings, note)
-            if len(pair) == len(wanted):
-                cells.append(_halves(name, *(_smaller(image, factor) for image in pair.values())))
+            cells += _sheet_cell(case, device, 1 if quick else 2, settings, note)
     if cells:
         paths.append(strip_path(out, ""))
         write_png(paths[-1], lay_side_by_side(cells))
@@ -96,6 +93,17 @@ def _pictures(
         except Exception as error:
             note(f"skipped {case.name}, {rung}: {reason(error)}")
     return pictures
+
+
+def _sheet_cell(case: EffectCase, device: wp.Device, factor: int, settings: Settings, note: Any) -> list[np.ndarray]:
+    """Cell of the sheet, cut out of a picture twice as wide and high and reduced by a factor; none where one failed."""
+    rungs = (case.rungs()[0], case.default(settings))
+    size = (CELL[0] * factor * factor, CELL[1] * factor * factor)
+    pair = _pictures(case, size, rungs, device, settings, note)
+    near = dataclasses.replace(case, centre=case.sheet_centre or case.centre, zoom=1)
+    window = (CELL[0] * factor, CELL[1] * factor)
+    cuts = [_smaller(cut(image, near, window), factor) for image in pair.values()]
+    return [_halves(case.name, *cuts)] if len(cuts) == len(rungs) else []
 
 
 def _write(path: Path, case: EffectCase, pictures: dict[str, np.ndarray]) -> Path:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import inspect
 from pathlib import Path
+from typing import Any
 
 from warp_deferred import Settings
 from warp_deferred.effects import EFFECTS, Effect
@@ -27,6 +28,7 @@ from .effect_tables import (
     skipped_list,
 )
 from .effect_texts import TEXTS, TITLES
+from .layout import milliseconds
 from .record import Record
 
 __all__ = ["effects_page"]
@@ -77,7 +79,8 @@ def _place(effect: Effect) -> str:
 def _record(record: Record, suffix: str, images: Path, shown: set[str]) -> list[str]:
     """Sections of one result; of several, texts and strips stand with the first only."""
     names = case_names(record)
-    parts = ["| what | rungs, first without it |\n| --- | --- |\n" + "\n".join(_line(record, n) for n in names)]
+    lines = "\n".join(_line(record, n) for n in names)
+    parts = [f"| what | rung: the frame without, then what each adds, and its RMSE |\n| --- | --- |\n{lines}"]
     for name in names:
         parts.append(f"## {TITLES.get(name, name)}{suffix}")
         if name not in shown:
@@ -95,10 +98,21 @@ def _record(record: Record, suffix: str, images: Path, shown: set[str]) -> list[
 
 
 def _line(record: Record, name: str) -> str:
+    """Line of the overview: rungs with cost and error."""
     title = TITLES.get(name, name)
     anchor = "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")
-    rungs = ", ".join(f"`{row['rung']}`" for row in rungs_of(record, name))
-    return f"| [{title}](#{anchor}) | {rungs} |"
+    first, *rows = rungs_of(record, name)
+    cells = [f"`{first['rung']}` {milliseconds(first['frame.ms'])} ms{_error(first)}"]
+    for row in rows:
+        sign = "+" if row["cost.difference_ms"] >= 0.0 else ""
+        cells.append(f"`{row['rung']}` {sign}{milliseconds(row['cost.difference_ms'])} ms{_error(row)}")
+    return f"| [{title}](#{anchor}) | {'<br>'.join(cells)} |"
+
+
+def _error(row: dict[str, Any]) -> str:
+    if row.get("reference") == row["rung"]:
+        return ", reference"
+    return f", {row['error.rmse']:.4f}" if "error.rmse" in row else ""
 
 
 def _about(name: str, images: Path) -> list[str]:

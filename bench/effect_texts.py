@@ -15,12 +15,11 @@ TITLES = {
 #: Case -> one paragraph.
 TEXTS: dict[str, str] = {
     "shadow": (
-        "A courtyard under a sun, a lamp and a moon, one light of each kind, and the wall they fall on. `hard` "
-        "compares with one texel and shows it: edges are stairs as coarse as the map. `pcf`, the default, smooths them "
-        "over four texels, equally everywhere, so that the far end of a shadow is as sharp as its foot. `pcss` widens "
-        "the edge with the distance to what casts it and comes near the reference but for where penumbrae of several "
-        "things overlap. Choose `pcf` for small or distant lights, `pcss` where penumbrae are seen, `ray_traced` to "
-        "check them or for a still."
+        "A courtyard under a sun, a lamp and a moon, one light of each kind. `hard` compares with one texel and shows "
+        "it: edges are stairs as coarse as the map. `pcf`, the default, smooths them over four texels, equally "
+        "everywhere, so that the far end of a shadow is as sharp as its foot. `pcss` widens the edge with the distance "
+        "to what casts it and comes near the reference but for where penumbrae of several things overlap. Choose "
+        "`pcf` for small or distant lights, `pcss` where penumbrae are seen, `ray_traced` to check them or for a still."
     ),
     "shadow_cascades": (
         "What a directional light costs in a large scene: four maps of 2048 x 2048 texels over all triangles of a "
@@ -28,7 +27,7 @@ TEXTS: dict[str, str] = {
         "`shadow.keep_maps`, the default, a still light over still ground pays for filtering only."
     ),
     "ambient_visibility": (
-        "A jointed figure on a crate in the corner of a room, in ambient light alone but for a little direct light. "
+        "A jointed figure on a crate in the corner of a room. "
         "`ssao` darkens corners softly and misses the depth of contacts: its difference is bright where things touch. "
         "`gtao_half` puts the darkness where it belongs, with blocky rims around the figure; `gtao`, the default, has "
         "finer ones. All three know only the depths in the picture: gaps between boards, where light is blocked by "
@@ -45,7 +44,7 @@ TEXTS: dict[str, str] = {
         "A row of things through the plane in focus, and bulbs far behind it. `plane_lerp` mixes in one blurred copy: "
         "bulbs become haze around a sharp core, and sharp edges get halos. `gather`, the default, draws the lens's "
         "circles and keeps the sphere in focus sharp; it has to guess what a blurred thing in front hides, which shows "
-        "along the rail close to the lens. Choose `gather`; `lens_samples` for stills, since it costs so many frames."
+        "along the urn close to the lens. Choose `gather`; `lens_samples` for stills, since it costs so many frames."
     ),
     "motion_blur": (
         "A spinning wheel and a ball that flies behind a post. `velocity_gather`, the default, blurs along straight "
@@ -55,14 +54,14 @@ TEXTS: dict[str, str] = {
     ),
     "anti_aliasing": (
         "Columns and a lamp, a pixel shown three by three. `fxaa` smooths the long edges for next to nothing; what the "
-        "pixels' centres missed stays missing, such as the thin string of the lamps, and fine details get softer. "
+        "pixels' centres missed stays missing, such as the thin ledge on the wall, and fine details get softer. "
         "`samples_4` mends both, and from `samples_16` on one has to look for the difference. Choose `fxaa` for "
         "interaction, `samples_4` or `samples_16` for pictures that are kept."
     ),
     "scale": (
         "Fewer pixels are rendered and `display` is scaled up along its edges; the reference is the full size, rung "
         "`off`. Without anti-aliasing, stairs of the small picture are larger than those of the full one, and details "
-        "thinner than a pixel come and go: lamps and the string between them differ most. Rungs are words, as all "
+        "thinner than a pixel come and go: lamps and thin ledges differ most. Rungs are words, as all "
         "rungs are: the neutral one is called `off`, and two thirds is no number of three digits."
     ),
     "scale_samples_16": (
