@@ -82,19 +82,22 @@ def bright_part(v: wp.vec3, bloom: Bloom):
 @wp.func
 def mirrored(i: wp.int32, count: wp.int32, edge: wp.int32):
     """Index of a texel in the picture continued by mirrors at 0 and at edge / 2 texels; count is at least 1."""
-    j = i
-    if j < 0:
-        j = -1 - j
-    if j >= count:
-        j = edge - 1 - j
-    return wp.clamp(j, 0, count - 1)
+    # Two operations for i, or -1 - i where i < 0.
+    j = i ^ (i >> 31)
+    return wp.max(wp.where(j >= count, edge - 1 - j, j), 0)
+
+
+@wp.func
+def word_value(texels: wp.array[wp.uint64], i: wp.int32):
+    """Value of the texel at an index of the buffer."""
+    return unpack_half3(load_double_word(texels, i))
 
 
 @wp.func
 def texel(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
     """Value of a level at whole texels, mirrored."""
     row = mirrored(y, level.height, level.edge_y) * level.width
-    return unpack_half3(load_double_word(texels, level.first + row + mirrored(x, level.width, level.edge_x)))
+    return word_value(texels, level.first + row + mirrored(x, level.width, level.edge_x))
 
 
 @wp.func
@@ -128,33 +131,24 @@ def thirteen_taps(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y
 
 
 @wp.func
-def tent_row(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32, step: wp.int32):
-    """Four texels of a row, weighted 3 7 5 1 towards the side the finer texel lies on."""
-    a, b = texel(texels, level, x - step, y), texel(texels, level, x, y)
-    c, d = texel(texels, level, x + step, y), texel(texels, level, x + 2 * step, y)
-    return a * 3.0 + b * 7.0 + c * 5.0 + d
+def tent_ahead(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
+    """Jimenez's tent of bilinear taps along one axis, times 16, for a texel in the further half of b's.
 
-
-@wp.func
-def tent(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
-    """A level seen from texel (x, y) of the next finer one: Jimenez's 3 x 3 tent of bilinear taps, as 4 x 4 texels.
-
-    A finer texel's centre lies a quarter of a texel off: 1 2 1 of interpolations 1/4 and 3/4 is 3 7 5 1, over 16.
+    A finer texel's centre lies a quarter of a texel off: 1 2 1 of interpolations 1/4 and 3/4 is 3 7 5 1. For a texel
+    in the nearer half of c's the same four count in reverse.
     """
-    step_x, step_y = 2 * (x & 1) - 1, 2 * (y & 1) - 1
-    i, j = x >> 1, y >> 1
-    a, b = tent_row(texels, level, i, j - step_y, step_x), tent_row(texels, level, i, j, step_x)
-    c, d = tent_row(texels, level, i, j + step_y, step_x), tent_row(texels, level, i, j + 2 * step_y, step_x)
-    return (a * 3.0 + b * 7.0 + c * 5.0 + d) * (1.0 / 256.0)
+    return a * 3.0 + b * 7.0 + c * 5.0 + d
 
 
 @wp.func
 def bilinear(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
     """A level seen from texel (x, y) of the next finer one, interpolated between 2 x 2 texels."""
     i, j = x >> 1, y >> 1
-    step_x, step_y = 2 * (x & 1) - 1, 2 * (y & 1) - 1
-    near = texel(texels, level, i, j) * 3.0 + texel(texels, level, i + step_x, j)
-    far = texel(texels, level, i, j + step_y) * 3.0 + texel(texels, level, i + step_x, j + step_y)
+    i1 = mirrored(i + 2 * (x & 1) - 1, level.width, level.edge_x)
+    j1 = mirrored(j + 2 * (y & 1) - 1, level.height, level.edge_y)
+    row, row1 = level.first + j * level.width, level.first + j1 * level.width
+    near = word_value(texels, row + i) * 3.0 + word_value(texels, row + i1)
+    far = word_value(texels, row1 + i) * 3.0 + word_value(texels, row1 + i1)
     return (near * 3.0 + far) * (1.0 / 16.0)
 
 
@@ -282,6 +276,36 @@ def downsample_kernel(
     out_texels[level.first + y * level.width + x] = half_texel(value)
 
 
+@wp.struct
+class TentRow:
+    """Four texels of a row seen from the two finer texels between the middle ones, times 16."""
+
+    left: wp.vec3
+    right: wp.vec3
+
+
+@wp.func
+def tent_row(texels: wp.array[wp.uint64], level: BloomLevel, columns: wp.vec4i, y: wp.int32):
+    """One row under the tent, mirrored; columns are mirrored already."""
+    row = level.first + mirrored(y, level.height, level.edge_y) * level.width
+    a, b = word_value(texels, row + columns[0]), word_value(texels, row + columns[1])
+    c, d = word_value(texels, row + columns[2]), word_value(texels, row + columns[3])
+    seen = TentRow()
+    seen.left = tent_ahead(a, b, c, d)
+    seen.right = tent_ahead(d, c, b, a)
+    return seen
+
+
+@wp.func
+def mix_wider(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32, wider: wp.vec3):
+    """Mix what the wider levels come to, times 256, into a texel, if the level has it."""
+    if x < 0 or y < 0 or x >= level.width or y >= level.height:
+        return
+    i = level.first + y * level.width + x
+    own = word_value(texels, i) * (1.0 - level.wider)
+    texels[i] = half_texel(own + (wider * (1.0 / 256.0)) * level.wider)
+
+
 @wp.kernel(grid_stride=False)
 def upsample_kernel(
     # Frame
@@ -294,19 +318,30 @@ def upsample_kernel(
     # Out
     out_texels: wp.array[wp.uint64],
 ):
-    """Mix the wider levels into a level, in place."""
+    """Mix the wider levels into a level, in place: one thread for the 2 x 2 texels that see the same 4 x 4.
+
+    Threads count the corners of the wider level's texels. A thread costs 16 + 4 loads and 228 operations for the tents.
+    """
     thread = wp.tid() + first
     block = load_vec4i(blocks, pixel_block(thread))
     place = pixel_in_block(thread)
     level = levels[block[3]]
     x, y = block[1] + place[0], block[2] + place[1]
-    if x >= level.width or y >= level.height or views[block[0]].bloom <= 0.0:
+    if 2 * x > level.width or 2 * y > level.height or views[block[0]].bloom <= 0.0:
         return
-    i = level.first + y * level.width + x
-    wider = tent(out_texels, levels[block[3] + 1], x, y)
-    out_texels[i] = half_texel(
-        unpack_half3(load_double_word(out_texels, i)) * (1.0 - level.wider) + wider * level.wider
+    wider = levels[block[3] + 1]
+    columns = wp.vec4i(
+        mirrored(x - 2, wider.width, wider.edge_x),
+        mirrored(x - 1, wider.width, wider.edge_x),
+        mirrored(x, wider.width, wider.edge_x),
+        mirrored(x + 1, wider.width, wider.edge_x),
     )
+    a, b = tent_row(out_texels, wider, columns, y - 2), tent_row(out_texels, wider, columns, y - 1)
+    c, d = tent_row(out_texels, wider, columns, y), tent_row(out_texels, wider, columns, y + 1)
+    mix_wider(out_texels, level, 2 * x - 1, 2 * y - 1, tent_ahead(a.left, b.left, c.left, d.left))
+    mix_wider(out_texels, level, 2 * x, 2 * y - 1, tent_ahead(a.right, b.right, c.right, d.right))
+    mix_wider(out_texels, level, 2 * x - 1, 2 * y, tent_ahead(d.left, c.left, b.left, a.left))
+    mix_wider(out_texels, level, 2 * x, 2 * y, tent_ahead(d.right, c.right, b.right, a.right))
 
 
 @wp.kernel(grid_stride=False)

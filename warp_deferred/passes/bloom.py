@@ -71,7 +71,8 @@ class Pyramid:
         count: Most levels a view has.
         texels: Texels of all levels.
         down: For each level, (b, 4) int32: view, x, y, row of each 8 x 8 block.
-        up: The same, of those views that have a wider level yet.
+        up: The same of the corners of the wider level's texels, (width // 2 + 1) x (height // 2 + 1) for each level
+            that has a wider one.
     """
 
     rows: np.ndarray
@@ -103,7 +104,10 @@ class Pyramid:
                 blocks[:, 3] = v * most + k
                 down[k].append(blocks)
                 if k + 1 < count:
-                    up[k].append(blocks)
+                    # A thread of `upsample_kernel` has the texels around one corner of the wider level's.
+                    corners = block_grid(v, ViewSize(width // 2 + 1, height // 2 + 1), 8)
+                    corners[:, 3] = v * most + k
+                    up[k].append(corners)
         none = [np.zeros((0, 4), np.int32)]
         joined = [[np.concatenate(part + none) for part in table] for table in (down, up)]
         return cls(rows.reshape(-1), most, first, *joined)
