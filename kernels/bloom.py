@@ -25,17 +25,9 @@ import functools
 
 import warp as wp
 
-from .intrinsics import (
-    block_sync,
-    block_width,
-    load_double_word,
-    load_vec4i,
-    pack_half4,
-    shared_pixels,
-    unpack_half3,
-)
+from .intrinsics import any_lane, from_lane, load_double_word, load_vec4i, pack_half4, unpack_half3, warp_width
 from .projection import pixel_block, pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, BloomLevel, View
+from .structs import MODULE_OPTIONS, Bloom, BloomLevel, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -45,8 +37,11 @@ MOST = wp.constant(65504.0)
 #: Smallest weight against fireflies: its reciprocal and its products are normal numbers.
 LEAST_WEIGHT = wp.constant(1.0e-30)
 MAX_FLOAT = wp.constant(3.4028234e38)
-#: Pixels a side that a block of 8 x 8 texels of level 1 sees.
-STAGED = wp.constant(18)
+#: Lanes of a warp. Each but the first and the last makes a column of level 1, which needs both neighbours' pixels.
+LANES = wp.constant(32)
+STRIP_WIDTH = LANES - 2
+#: Texels down a column; a block has two strips, one below the other.
+STRIP_HEIGHT = wp.constant(4)
 #: (half radiance, weighted against fireflies): what CI compiles.
 VARIANTS = [(half, weighted) for half in (True, False) for weighted in (True, False)]
 
@@ -189,26 +184,27 @@ def make_bright_kernel(half: bool, weighted: bool):
         return wp.vec4(b[0], b[1], b[2], weight)
 
     @wp.func
-    def tap(
-        radiance: wp.array[wp.uint64],
-        color: wp.array[wp.vec3],
-        view: View,
-        bloom: Bloom,
-        corner: wp.vec2i,
-        x: wp.int32,
-        y: wp.int32,
+    def pixel_row(
+        radiance: wp.array[wp.uint64], color: wp.array[wp.vec3], view: View, bloom: Bloom, x: wp.int32, py: wp.int32
     ):
-        """Pixel (x, y) of the block's 18 x 18, from the block's memory where there is one."""
-        value = wp.vec4()
-        if block_width() == 1:
-            value = weighed(radiance, color, view, bloom, corner[0] + x, corner[1] + y)
-        return shared_pixels(False, y * STAGED + x, value)
+        """Pixels 2 x - 1 to 2 x + 2 of a row, weighed and summed by 1 3 3 1; each lane of a warp has the next x."""
+        a = weighed(radiance, color, view, bloom, 2 * x, py)
+        b = weighed(radiance, color, view, bloom, 2 * x + 1, py)
+        if warp_width() == 1:
+            before = weighed(radiance, color, view, bloom, 2 * x - 1, py)
+            after = weighed(radiance, color, view, bloom, 2 * x + 2, py)
+            return (before + after) + (a + b) * 3.0
+        # Where all is black the sums are known.
+        light = a[0] + a[1] + a[2] + (b[0] + b[1] + b[2])
+        if not any_lane(light > 0.0 or a[3] + b[3] < 2.0):
+            return wp.vec4(0.0, 0.0, 0.0, 8.0)
+        return (from_lane(b, -1) + from_lane(a, 1)) + (a + b) * 3.0
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def bright_kernel(
         # Frame
         views: wp.array[View],
-        blocks: wp.array[wp.vec4i],
+        strips: wp.array[wp.vec4i],
         # In
         radiance: wp.array[wp.uint64],
         color: wp.array[wp.vec3],
@@ -219,35 +215,37 @@ def make_bright_kernel(half: bool, weighted: bool):
         out_texels: wp.array[wp.uint64],
     ):
         thread = wp.tid() + first
-        block = load_vec4i(blocks, pixel_block(thread))
-        place = pixel_in_block(thread)
-        level = bloom.levels[block[3]]
-        view = views[block[0]]
-        # The same for the whole block; no lane leaves before all have staged.
-        if view.bloom <= 0.0:
+        strip = load_vec4i(strips, pixel_block(thread))
+        level = bloom.levels[strip[3]]
+        view = views[strip[0]]
+        lane = thread & (LANES - 1)
+        x = strip[1] + lane - 1
+        start = strip[2] + (thread & LANES) // LANES * STRIP_HEIGHT
+        count = wp.min(level.height - start, STRIP_HEIGHT)
+        # Both are the same for the whole warp, of which no lane may leave before the others.
+        if view.bloom <= 0.0 or count <= 0:
             return
-        corner = wp.vec2i(2 * block[1] - 1, 2 * block[2] - 1)
-        if block_width() > 1:
-            for k in range(thread & (PIXEL_BLOCK_AREA - 1), STAGED * STAGED, PIXEL_BLOCK_AREA):
-                down = k // STAGED
-                pixel = weighed(radiance, color, view, bloom, corner[0] + k - down * STAGED, corner[1] + down)
-                shared_pixels(True, k, pixel)
-            block_sync()
-        x, y = block[1] + place[0], block[2] + place[1]
-        if x >= level.width or y >= level.height:
+        kept = lane > 0 and lane < LANES - 1 and x < level.width
+        if warp_width() == 1 and not kept:
             return
-        total = wp.vec4()
-        for dy in range(4):
-            row = wp.vec4()
-            for dx in range(4):
-                value = tap(radiance, color, view, bloom, corner, 2 * place[0] + dx, 2 * place[1] + dy)
-                # 1 3 3 1 along each axis.
-                row += value * wp.float32(1 + ((dx + 1) & 2))
-            total += row * wp.float32(1 + ((dy + 1) & 2))
-        scale = wp.float32(1.0 / 64.0)
-        if wp.static(weighted):
-            scale = 1.0 / total[3]
-        out_texels[level.first + y * level.width + x] = half_texel(wp.vec3(total[0], total[1], total[2]) * scale)
+        i = level.first + start * level.width + x
+        near = wp.vec4()
+        for k in range(count + 1):
+            y = 2 * (start + k)
+            a = pixel_row(radiance, color, view, bloom, x, y - 1)
+            b = pixel_row(radiance, color, view, bloom, x, y)
+            if k > 0 and kept:
+                # 1 3 3 1 again, summed from both ends so that mirrored pictures agree.
+                total = near + (b + a * 3.0)
+                texel_value = wp.vec3(total[0], total[1], total[2])
+                if wp.static(weighted):
+                    if total[0] + total[1] + total[2] > 0.0:
+                        texel_value *= 1.0 / total[3]
+                else:
+                    texel_value *= 1.0 / 64.0
+                out_texels[i] = half_texel(texel_value)
+                i += level.width
+            near = a + b * 3.0
 
     return bright_kernel
 

@@ -160,22 +160,44 @@ def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32,
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ float4 pixels[324];
-    if (storing) {
-        pixels[index] = make_float4(value[0], value[1], value[2], value[3]);
-        return value;
-    }
-    const float4 v = pixels[index];
-    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+    return 32;
+#else
+    return 1;
+#endif
+""")
+def warp_width() -> wp.int32:
+    """Lanes that run in step, a constant of the device: 32; 1 on the CPU."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const int lane = (threadIdx.x + offset) & 31;
+    return wp::vec_t<4, wp::float32>(
+        __shfl_sync(0xffffffffu, value[0], lane), __shfl_sync(0xffffffffu, value[1], lane),
+        __shfl_sync(0xffffffffu, value[2], lane), __shfl_sync(0xffffffffu, value[3], lane)
+    );
 #else
     return value;
 #endif
 """)
-def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
-    """Store to, or read from, 18 x 18 pixels, 5184 bytes, that the block's lanes share; sync between the two.
+def from_lane(value: wp.vec4, offset: wp.int32) -> wp.vec4:
+    """Value of the lane `offset` further on in the warp, around its end; all its lanes must call it.
 
-    The CPU, where a block is one lane, shares nothing: there it returns `value`, which the caller has to compute.
+    The CPU, where a warp is one lane, gives `value` back.
     """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __any_sync(0xffffffffu, flag);
+#else
+    return flag;
+#endif
+""")
+def any_lane(flag: wp.bool) -> wp.bool:
+    """Whether the flag is set in any lane of the warp; all its lanes must call it."""
     ...
 
 

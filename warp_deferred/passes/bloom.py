@@ -70,7 +70,8 @@ class Pyramid:
         rows: `structs.BloomLevel` rows, `count` a view; rows of levels a view does not have are 0.
         count: Most levels a view has.
         texels: Texels of all levels.
-        down: For each level, (b, 4) int32: view, x, y, row of each 8 x 8 block.
+        strips: (b, 4) int32: view, x, y, row of each block of level 1 that `bright_kernel` makes.
+        down: The same of the 8 x 8 blocks of each level.
         up: The same of the corners of the wider level's texels, (width // 2 + 1) x (height // 2 + 1) for each level
             that has a wider one.
     """
@@ -78,17 +79,21 @@ class Pyramid:
     rows: np.ndarray
     count: int
     texels: int
+    strips: np.ndarray
     down: list[np.ndarray]
     up: list[np.ndarray]
 
     @classmethod
     def of(cls, sizes: tuple[ViewSize, ...], settings: Settings) -> Pyramid:
         """Lay out the levels of the views that keep colour."""
+        from ..kernels.bloom import STRIP_HEIGHT, STRIP_WIDTH
+
         s = settings.bloom
         chain = s.rung == "mip_chain"
         counts = [0 if v.depth_only else level_count(v.height, s.radius) if chain else 1 for v in sizes]
         most = max(counts, default=0)
         rows = np.zeros((len(sizes), most), structs.BloomLevel.numpy_dtype())
+        strips: list[np.ndarray] = []
         down: list[list[np.ndarray]] = [[] for _ in range(most)]
         up: list[list[np.ndarray]] = [[] for _ in range(most)]
         first = 0
@@ -103,6 +108,11 @@ class Pyramid:
                 blocks = block_grid(v, ViewSize(width, height), 8)
                 blocks[:, 3] = v * most + k
                 down[k].append(blocks)
+                if k == 0:
+                    # Two strips a block.
+                    wide, tall = STRIP_WIDTH, 2 * STRIP_HEIGHT
+                    grid = block_grid(v, ViewSize(-(-width // wide), -(-height // tall)), 1)
+                    strips.append(grid * np.int32((1, wide, tall, 0)) + np.int32((0, 0, 0, v * most)))
                 if k + 1 < count:
                     # A thread of `upsample_kernel` has the texels around one corner of the wider level's.
                     corners = block_grid(v, ViewSize(width // 2 + 1, height // 2 + 1), 8)
@@ -110,7 +120,7 @@ class Pyramid:
                     up[k].append(corners)
         none = [np.zeros((0, 4), np.int32)]
         joined = [[np.concatenate(part + none) for part in table] for table in (down, up)]
-        return cls(rows.reshape(-1), most, first, *joined)
+        return cls(rows.reshape(-1), most, first, np.concatenate([*strips, *none]), *joined)
 
 
 @functools.lru_cache(maxsize=16)
@@ -178,6 +188,7 @@ class BloomPass(Pass):
 
         self.kernels = kernels
         self.bright = kernels.make_bright_kernel(not float_image(self.request), settings.fireflies > 0.0)
+        self.strips = table_array(self.pyramid.strips, device)
         self.down = [table_array(t, device) for t in self.pyramid.down]
         self.up = [table_array(t, device) for t in self.pyramid.up]
 
@@ -211,33 +222,23 @@ class BloomPass(Pass):
         if self.rung() == "exact":
             self._run_exact(resources)
             return
-        kernels, levels = self.kernels, self.bloom.levels
+        kernels, levels, pyramid = self.kernels, self.bloom.levels, self.pyramid
         texels = resources.channels["bloom"]
-        if self.rung() == "neighbourhood":
-            bright, window = resources.channels["bloom_bright"], self.request.settings.bloom.window
-            self._launch(resources, self.bright, 0, [self.radiance, self.color, self.bloom], bright)
-            self._launch(resources, kernels.gather_kernel, 0, [bright, levels, window], texels)
-            return
-        self._launch(resources, self.bright, 0, [self.radiance, self.color, self.bloom], texels)
-        for k in range(1, self.pyramid.count):
-            self._launch(resources, kernels.downsample_kernel, k, [levels], texels)
-        for k in reversed(range(self.pyramid.count - 1)):
-            self._launch(resources, kernels.upsample_kernel, k, [levels], texels, up=True)
+        window = self.request.settings.bloom.window
+        target = texels if self.rung() == "mip_chain" else resources.channels["bloom_bright"]
 
-    def _launch(
-        self, resources: Resources, kernel: wp.Kernel, level: int, inputs: list, out: wp.array, up: bool = False
-    ) -> None:
-        """Add a launch over the blocks of a level."""
-        blocks = self.up[level] if up else self.down[level]
-        count = len((self.pyramid.up if up else self.pyramid.down)[level])
-        resources.program.launch(
-            kernel,
-            count * 64,
-            [resources.frame.views, blocks, *inputs, FIRST],
-            [out],
-            block_dim=self.kernels.BLOCK_DIM,
-            band=64,
-        )
+        def launch(kernel: wp.Kernel, count: int, blocks: wp.array, inputs: list, out: wp.array) -> None:
+            values, block_dim = [resources.frame.views, blocks, *inputs, FIRST], kernels.BLOCK_DIM
+            resources.program.launch(kernel, count * 64, values, [out], block_dim=block_dim, band=64)
+
+        launch(self.bright, len(pyramid.strips), self.strips, [self.radiance, self.color, self.bloom], target)
+        if target is not texels:
+            launch(kernels.gather_kernel, len(pyramid.down[0]), self.down[0], [target, levels, window], texels)
+            return
+        for k in range(1, pyramid.count):
+            launch(kernels.downsample_kernel, len(pyramid.down[k]), self.down[k], [levels], texels)
+        for k in reversed(range(pyramid.count - 1)):
+            launch(kernels.upsample_kernel, len(pyramid.up[k]), self.up[k], [levels], texels)
 
     def _run_exact(self, resources: Resources) -> None:
         kernels, frame, blocks = self.kernels, resources.frame, resources.blocks
