@@ -75,6 +75,24 @@ def bright_part(v: wp.vec3, bloom: Bloom):
 
 
 @wp.func
+def may_scatter(value: wp.vec3, exposure: wp.float32, bloom: Bloom):
+    """Whether a pixel may have a bright part: false wherever it is 0, but for bad values and rounding; six operations.
+
+    It is `bright_part`'s own start of the curve, rounded alike: the product with the exposure is monotone.
+    """
+    above = wp.max(value[0], wp.max(value[1], value[2])) * exposure - bloom.threshold
+    return above + bloom.knee > 0.0
+
+
+@wp.func
+def bright_of(value: wp.vec3, exposure: wp.float32, bloom: Bloom):
+    """Bright part of a pixel's radiance, exposed."""
+    if not may_scatter(value, exposure, bloom):
+        return wp.vec3()
+    return bright_part(exposed(value, exposure), bloom)
+
+
+@wp.func
 def mirrored(i: wp.int32, count: wp.int32, edge: wp.int32):
     """Index of a texel in the picture continued by mirrors at 0 and at edge / 2 texels; count is at least 1."""
     # Two operations for i, or -1 - i where i < 0.
@@ -147,6 +165,22 @@ def bilinear(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.
     return (near * 3.0 + far) * (1.0 / 16.0)
 
 
+@wp.struct
+class PixelPair:
+    """Radiance of two pixels side by side."""
+
+    left: wp.vec3
+    right: wp.vec3
+
+
+@wp.struct
+class RowSums:
+    """Weighted sums along two rows of pixels, and of the weights."""
+
+    upper: wp.vec4
+    lower: wp.vec4
+
+
 @functools.cache
 def make_bright_kernel(half: bool, weighted: bool):
     """Kernel that makes level 1 from the picture.
@@ -157,48 +191,75 @@ def make_bright_kernel(half: bool, weighted: bool):
     """
 
     @wp.func
-    def weighed(
-        radiance: wp.array[wp.uint64],
-        color: wp.array[wp.vec3],
-        view: View,
-        bloom: Bloom,
-        px: wp.int32,
-        py: wp.int32,
-    ):
-        """Bright part of the mirrored picture's pixel (px, py) times its weight, and the weight."""
-        x, y = mirrored(px, view.width, 2 * view.width), mirrored(py, view.height, 2 * view.height)
-        i = pixel_index(view, x, y)
-        value = wp.vec3()
+    def pixel(radiance: wp.array[wp.uint64], color: wp.array[wp.vec3], i: wp.int32):
         if wp.static(half):
-            value = unpack_half3(load_double_word(radiance, i))
+            return word_value(radiance, i)
         else:
-            value = color[i]
-        b = bright_part(exposed(value, view.exposure), bloom)
+            return color[i]
+
+    @wp.func
+    def weighed(value: wp.vec3, exposure: wp.float32, bloom: Bloom):
+        """Bright part of a pixel times its weight, and the weight."""
+        b = bright_of(value, exposure, bloom)
         weight = wp.float32(1.0)
         if wp.static(weighted):
             luminance = 0.2126 * b[0] + 0.7152 * b[1] + 0.0722 * b[2]
-            # Most pixels are dark: they spare the division.
+            # Many pixels are dark: they spare the division.
             if luminance > 0.0:
                 weight = wp.max(1.0 / (1.0 + luminance * bloom.firefly), LEAST_WEIGHT)
                 b = b * weight
         return wp.vec4(b[0], b[1], b[2], weight)
 
     @wp.func
-    def pixel_row(
-        radiance: wp.array[wp.uint64], color: wp.array[wp.vec3], view: View, bloom: Bloom, x: wp.int32, py: wp.int32
+    def row_sum(
+        radiance: wp.array[wp.uint64],
+        color: wp.array[wp.vec3],
+        row: wp.int32,
+        columns: wp.vec4i,
+        pair: PixelPair,
+        exposure: wp.float32,
+        bloom: Bloom,
     ):
-        """Pixels 2 x - 1 to 2 x + 2 of a row, weighed and summed by 1 3 3 1; each lane of a warp has the next x."""
-        a = weighed(radiance, color, view, bloom, 2 * x, py)
-        b = weighed(radiance, color, view, bloom, 2 * x + 1, py)
-        if warp_width() == 1:
-            before = weighed(radiance, color, view, bloom, 2 * x - 1, py)
-            after = weighed(radiance, color, view, bloom, 2 * x + 2, py)
-            return (before + after) + (a + b) * 3.0
-        # Where all is black the sums are known.
-        light = a[0] + a[1] + a[2] + (b[0] + b[1] + b[2])
-        if not any_lane(light > 0.0 or a[3] + b[3] < 2.0):
-            return wp.vec4(0.0, 0.0, 0.0, 8.0)
-        return (from_lane(b, -1) + from_lane(a, 1)) + (a + b) * 3.0
+        """Four pixels of a row, weighed and summed by 1 3 3 1: the lane's own pair and one of either neighbour's."""
+        a, b = weighed(pair.left, exposure, bloom), weighed(pair.right, exposure, bloom)
+        if warp_width() > 1:
+            return (from_lane(b, -1) + from_lane(a, 1)) + (a + b) * 3.0
+        before = weighed(pixel(radiance, color, row + columns[0]), exposure, bloom)
+        after = weighed(pixel(radiance, color, row + columns[3]), exposure, bloom)
+        return (before + after) + (a + b) * 3.0
+
+    @wp.func
+    def two_rows(
+        radiance: wp.array[wp.uint64], color: wp.array[wp.vec3], view: View, bloom: Bloom, columns: wp.vec4i, y: wp.int32
+    ):
+        """Rows y - 1 and y, each summed; all four loads are on their way before the first value is looked at."""
+        row0 = pixel_index(view, 0, mirrored(y - 1, view.height, 2 * view.height))
+        row1 = pixel_index(view, 0, mirrored(y, view.height, 2 * view.height))
+        upper, lower = PixelPair(), PixelPair()
+        upper.left = pixel(radiance, color, row0 + columns[1])
+        upper.right = pixel(radiance, color, row0 + columns[2])
+        lower.left = pixel(radiance, color, row1 + columns[1])
+        lower.right = pixel(radiance, color, row1 + columns[2])
+        most = wp.max(wp.max(upper.left, upper.right), wp.max(lower.left, lower.right))
+        sums = RowSums()
+        sums.upper = wp.vec4(0.0, 0.0, 0.0, 8.0)
+        sums.lower = wp.vec4(0.0, 0.0, 0.0, 8.0)
+        e = view.exposure
+        # Where all is black the sums are known. A lone lane does not see its neighbours' pixels.
+        if any_lane(may_scatter(most, e, bloom)) or warp_width() == 1:
+            sums.upper = row_sum(radiance, color, row0, columns, upper, e, bloom)
+            sums.lower = row_sum(radiance, color, row1, columns, lower, e, bloom)
+        return sums
+
+    @wp.func
+    def mean(total: wp.vec4):
+        """Weighted mean of the 4 x 4 pixels; most are black and spare the division."""
+        if total[0] + total[1] + total[2] == 0.0:
+            return wp.vec3()
+        scale = wp.float32(1.0 / 64.0)
+        if wp.static(weighted):
+            scale = 1.0 / total[3]
+        return wp.vec3(total[0], total[1], total[2]) * scale
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def bright_kernel(
@@ -228,24 +289,22 @@ def make_bright_kernel(half: bool, weighted: bool):
         kept = lane > 0 and lane < LANES - 1 and x < level.width
         if warp_width() == 1 and not kept:
             return
+        columns = wp.vec4i(
+            mirrored(2 * x - 1, view.width, 2 * view.width),
+            mirrored(2 * x, view.width, 2 * view.width),
+            mirrored(2 * x + 1, view.width, 2 * view.width),
+            mirrored(2 * x + 2, view.width, 2 * view.width),
+        )
         i = level.first + start * level.width + x
         near = wp.vec4()
         for k in range(count + 1):
-            y = 2 * (start + k)
-            a = pixel_row(radiance, color, view, bloom, x, y - 1)
-            b = pixel_row(radiance, color, view, bloom, x, y)
+            sums = two_rows(radiance, color, view, bloom, columns, 2 * (start + k))
             if k > 0 and kept:
-                # 1 3 3 1 again, summed from both ends so that mirrored pictures agree.
-                total = near + (b + a * 3.0)
-                texel_value = wp.vec3(total[0], total[1], total[2])
-                if wp.static(weighted):
-                    if total[0] + total[1] + total[2] > 0.0:
-                        texel_value *= 1.0 / total[3]
-                else:
-                    texel_value *= 1.0 / 64.0
-                out_texels[i] = half_texel(texel_value)
+                # 1 3 3 1 again, from both ends so that mirrored pictures agree.
+                total = near + (sums.lower + sums.upper * 3.0)
+                out_texels[i] = half_texel(mean(total))
                 i += level.width
-            near = a + b * 3.0
+            near = sums.upper + sums.lower * 3.0
 
     return bright_kernel
 
