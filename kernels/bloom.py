@@ -34,8 +34,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 BLOCK_DIM = 64
 #: Largest finite half: levels hold no more, nor does display show more.
 MOST = wp.constant(65504.0)
-#: Smallest weight against fireflies: its reciprocal and its products are normal numbers.
-LEAST_WEIGHT = wp.constant(1.0e-30)
+#: Smallest peak that is told from smaller ones: its reciprocal is a normal number.
+LEAST_PEAK = wp.constant(2.0**-100)
 MAX_FLOAT = wp.constant(3.4028234e38)
 #: Lanes of a warp. Each but the first and the last makes a column of level 1, which needs both neighbours' pixels.
 LANES = wp.constant(32)
@@ -50,28 +50,53 @@ VARIANTS = [(half, weighted) for half in (True, False) for weighted in (True, Fa
 def exposed(value: wp.vec3, exposure: wp.float32):
     """Exposed radiance in [0, 65504]; a pixel with a component that is negative, infinite or NaN is black."""
     # One comparison sees NaN and infinity in any component; min drops NaN, but the sum does not.
-    if not (value[0] + value[1] + value[2] <= MAX_FLOAT):
-        return wp.vec3()
-    if wp.min(value[0], wp.min(value[1], value[2])) < 0.0:
+    lowest = wp.min(value[0], wp.min(value[1], value[2]))
+    if not (wp.where(lowest < 0.0, wp.inf, value[0] + value[1] + value[2]) <= MAX_FLOAT):
         return wp.vec3()
     v = value * exposure
     return wp.vec3(wp.min(v[0], MOST), wp.min(v[1], MOST), wp.min(v[2], MOST))
 
 
 @wp.func
+def highest(v: wp.vec3):
+    return wp.max(v[0], wp.max(v[1], v[2]))
+
+
+@wp.func
+def part_above(peak: wp.float32, bloom: Bloom):
+    """How much of a peak scatters: max(clamp(p - t + k, 0, 2 k)^2 / (4 k), p - t) with threshold t and knee k."""
+    above = peak - bloom.threshold
+    start = wp.clamp(above + bloom.knee, 0.0, 2.0 * bloom.knee)
+    return wp.max(start * start * bloom.soft, above)
+
+
+@wp.func
 def bright_part(v: wp.vec3, bloom: Bloom):
     """Part of exposed radiance that scatters: all above the threshold, a parabola around it, its hue kept.
 
-    With peak p, threshold t and knee k: max(clamp(p - t + k, 0, 2 k)^2 / (4 k), p - t) / p of it, which is continuous
-    in value and slope, exactly 0 up to t - k and exactly 1 where t = 0.
+    The share is continuous in value and slope, exactly 0 up to t - k and exactly 1 where t = 0.
     """
-    peak = wp.max(v[0], wp.max(v[1], v[2]))
-    above = peak - bloom.threshold
-    start = wp.clamp(above + bloom.knee, 0.0, 2.0 * bloom.knee)
-    part = wp.max(start * start * bloom.soft, above)
+    peak = highest(v)
+    part = part_above(peak, bloom)
     if part <= 0.0:
         return wp.vec3()
     return v * (part / peak)
+
+
+@wp.func
+def weighted_part(v: wp.vec3, bloom: Bloom):
+    """`bright_part` b times its weight 1 / (1 + luminance(b) / limit), and the weight, by one division.
+
+    With part q of peak p, both are fractions of p + luminance(v) q / limit; peaks below 2^-100 count as that.
+    """
+    peak = wp.max(highest(v), LEAST_PEAK)
+    part = part_above(peak, bloom)
+    if part <= 0.0:
+        return wp.vec4(0.0, 0.0, 0.0, 1.0)
+    luminance = 0.2126 * v[0] + 0.7152 * v[1] + 0.0722 * v[2]
+    scale = 1.0 / (peak + luminance * part * bloom.firefly)
+    b = v * (part * scale)
+    return wp.vec4(b[0], b[1], b[2], peak * scale)
 
 
 @wp.func
@@ -80,7 +105,7 @@ def may_scatter(value: wp.vec3, exposure: wp.float32, bloom: Bloom):
 
     It is `bright_part`'s own start of the curve, rounded alike: the product with the exposure is monotone.
     """
-    above = wp.max(value[0], wp.max(value[1], value[2])) * exposure - bloom.threshold
+    above = highest(value) * exposure - bloom.threshold
     return above + bloom.knee > 0.0
 
 
@@ -200,15 +225,13 @@ def make_bright_kernel(half: bool, weighted: bool):
     @wp.func
     def weighed(value: wp.vec3, exposure: wp.float32, bloom: Bloom):
         """Bright part of a pixel times its weight, and the weight."""
-        b = bright_of(value, exposure, bloom)
-        weight = wp.float32(1.0)
         if wp.static(weighted):
-            luminance = 0.2126 * b[0] + 0.7152 * b[1] + 0.0722 * b[2]
-            # Many pixels are dark: they spare the division.
-            if luminance > 0.0:
-                weight = wp.max(1.0 / (1.0 + luminance * bloom.firefly), LEAST_WEIGHT)
-                b = b * weight
-        return wp.vec4(b[0], b[1], b[2], weight)
+            if not may_scatter(value, exposure, bloom):
+                return wp.vec4(0.0, 0.0, 0.0, 1.0)
+            return weighted_part(exposed(value, exposure), bloom)
+        else:
+            b = bright_of(value, exposure, bloom)
+            return wp.vec4(b[0], b[1], b[2], 1.0)
 
     @wp.func
     def row_sum(

@@ -140,7 +140,8 @@ def make_bloom(resources: Resources, request: Request, layout: ViewLayout) -> st
     if bright_level(request) is None:
         bloom.bright = wp.ones(1, dtype=wp.int32, device=resources.device)
     bloom.level_count = pyramid.count
-    bloom.firefly = 1.0 / settings.fireflies if settings.fireflies > 0.0 else 0.0
+    # Bounded so that luminance times part times this, 2^32 times more, is finite.
+    bloom.firefly = min(1.0 / settings.fireflies, 2.0**64) if settings.fireflies > 0.0 else 0.0
     bloom.threshold, bloom.knee, bloom.soft = settings.threshold, knee, 0.25 / knee if knee > 0.0 else 0.0
     return bloom
 
