@@ -105,7 +105,8 @@ class Pyramid:
                 edges = [math.floor(2 * length / texel + 0.5) for length in (size.width, size.height)]
                 rows[v, k] = (first, width, height, *edges, share[k + 1 :].sum() / share[k:].sum())
                 first += width * height
-                blocks = block_grid(v, ViewSize(width, height), 8)
+                # A thread makes two texels of `downsample_kernel`'s levels.
+                blocks = block_grid(v, ViewSize(width, height if k == 0 else -(-height // 2)), 8)
                 blocks[:, 3] = v * most + k
                 down[k].append(blocks)
                 if k == 0:
