@@ -12,7 +12,7 @@ import functools
 
 import warp as wp
 
-from .bloom import bright_of
+from .bloom_bright import bright_of
 from .intrinsics import load_vec4i, unpack_half3
 from .projection import pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, View

@@ -43,7 +43,8 @@ def make_scatter(bloom: str):
             return v
 
         return nothing
-    from .bloom import bilinear, bright_of
+    from .bloom import bilinear
+    from .bloom_bright import bright_of
 
     @wp.func
     def scatter(v: wp.vec3, value: wp.vec3, view: View, index: wp.int32, place: wp.vec2i, i: wp.int32, source: Bloom):

@@ -203,6 +203,30 @@ def any_lane(flag: wp.bool) -> wp.bool:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    __shared__ wp::uint64 words[128];
+    if (storing) {
+        words[index] = value;
+        return value;
+    }
+    return words[index];
+#else
+    if (storing)
+        scratch.data[base + index] = value;
+    return scratch.data[base + index];
+#endif
+""")
+def shared_double_words(
+    scratch: wp.array[wp.uint64], storing: wp.bool, base: wp.int32, index: wp.int32, value: wp.uint64
+) -> wp.uint64:
+    """Store to, or read from, 1 KiB of memory that the block's lanes share; sync between the two.
+
+    The CPU, where a block is one lane, uses 128 elements of `scratch` from `base` on instead.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return static_cast<int>(__dp4a(word, weights, 0u));
 #else
     int sum = 0;
