@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intrinsics import load_double_word, load_vec4i, pack_half4, unpack_half3
+from .intrinsics import load_double_word, load_vec4i, pack_half4, store_double_word, unpack_half3
 from .projection import pixel_block, pixel_in_block
 from .structs import BloomLevel, View
 
@@ -179,9 +179,9 @@ def downsample_kernel(
     g, h = six_texels(out_texels, finer, columns, 2 * y + 4), six_texels(out_texels, finer, columns, 2 * y + 5)
     # Stores come last: what is loaded after one has to wait for it.
     i = level.first + y * level.width + x
-    out_texels[i] = half_texel(thirteen_taps(a, b, c, d, e, f))
+    store_double_word(out_texels, i, half_texel(thirteen_taps(a, b, c, d, e, f)))
     if y + 1 < level.height:
-        out_texels[i + level.width] = half_texel(thirteen_taps(c, d, e, f, g, h))
+        store_double_word(out_texels, i + level.width, half_texel(thirteen_taps(c, d, e, f, g, h)))
 
 
 @wp.struct
@@ -207,7 +207,7 @@ def tent_row(texels: wp.array[wp.uint64], level: BloomLevel, columns: wp.vec4i, 
 @wp.func
 def mixed(own: wp.vec3, wider: wp.vec3, level: BloomLevel):
     """A texel with what the wider levels come to, times 256, mixed in."""
-    return half_texel(own * (1.0 - level.wider) + (wider * (1.0 / 256.0)) * level.wider)
+    return half_texel(own * (1.0 - level.wider) + wider * (level.wider * (1.0 / 256.0)))
 
 
 @wp.kernel(grid_stride=False)
@@ -251,13 +251,13 @@ def upsample_kernel(
     r, s = word_value(out_texels, row1 + x0), word_value(out_texels, row1 + x1)
     # Stores come last: what is loaded after one has to wait for it.
     if up and left:
-        out_texels[row0 + x0] = mixed(p, tent_ahead(a.left, b.left, c.left, d.left), level)
+        store_double_word(out_texels, row0 + x0, mixed(p, tent_ahead(a.left, b.left, c.left, d.left), level))
     if up and right:
-        out_texels[row0 + x1] = mixed(q, tent_ahead(a.right, b.right, c.right, d.right), level)
+        store_double_word(out_texels, row0 + x1, mixed(q, tent_ahead(a.right, b.right, c.right, d.right), level))
     if down and left:
-        out_texels[row1 + x0] = mixed(r, tent_ahead(d.left, c.left, b.left, a.left), level)
+        store_double_word(out_texels, row1 + x0, mixed(r, tent_ahead(d.left, c.left, b.left, a.left), level))
     if down and right:
-        out_texels[row1 + x1] = mixed(s, tent_ahead(d.right, c.right, b.right, a.right), level)
+        store_double_word(out_texels, row1 + x1, mixed(s, tent_ahead(d.right, c.right, b.right, a.right), level))
 
 
 @wp.kernel(grid_stride=False)

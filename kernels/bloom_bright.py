@@ -20,7 +20,7 @@ import functools
 import warp as wp
 
 from .bloom import MOST, half_texel, mirrored, word_value
-from .intrinsics import any_lane, from_lane, load_vec4i, warp_width
+from .intrinsics import any_lane, from_lane, load_vec4i, pack_half4, store_double_word, warp_width
 from .projection import pixel_block, pixel_index
 from .structs import MODULE_OPTIONS, Bloom, View
 
@@ -125,6 +125,7 @@ class RowSums:
 
     upper: wp.vec4
     lower: wp.vec4
+    lit: wp.bool  # whether any of the warp's pixels may scatter; the sums are those of black pixels where none does
 
 
 @functools.cache
@@ -194,8 +195,9 @@ def make_bright_kernel(half: bool, weighted: bool):
         sums.upper = wp.vec4(0.0, 0.0, 0.0, 8.0)
         sums.lower = wp.vec4(0.0, 0.0, 0.0, 8.0)
         e = view.exposure
-        # Where all is black the sums are known. A lone lane does not see its neighbours' pixels.
-        if any_lane(may_scatter(most, e, bloom)) or warp_width() == 1:
+        # A lone lane does not see its neighbours' pixels.
+        sums.lit = any_lane(may_scatter(most, e, bloom)) or warp_width() == 1
+        if sums.lit:
             sums.upper = row_sum(radiance, color, row0, columns, upper, e, bloom)
             sums.lower = row_sum(radiance, color, row1, columns, lower, e, bloom)
         return sums
@@ -246,13 +248,17 @@ def make_bright_kernel(half: bool, weighted: bool):
         )
         i = level.first + start * level.width + x
         near = wp.vec4()
+        lit = wp.bool(False)
         for k in range(count + 1):
             sums = two_rows(radiance, color, view, bloom, columns, 2 * (start + k))
             if k > 0 and kept:
                 # 1 3 3 1 again, from both ends so that mirrored pictures agree.
-                total = near + (sums.lower + sums.upper * 3.0)
-                out_texels[i] = half_texel(mean(total))
+                word = pack_half4(0.0, 0.0, 0.0)
+                if lit or sums.lit:
+                    word = half_texel(mean(near + (sums.lower + sums.upper * 3.0)))
+                store_double_word(out_texels, i, word)
                 i += level.width
             near = sums.upper + sums.lower * 3.0
+            lit = sums.lit
 
     return bright_kernel

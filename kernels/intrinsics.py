@@ -78,6 +78,12 @@ def load_double_word(values: wp.array[wp.uint64], index: wp.int32) -> wp.uint64:
     ...
 
 
+@wp.func_native("values.data[index] = word;")
+def store_double_word(values: wp.array[wp.uint64], index: wp.int32, word: wp.uint64):
+    """Store a double word into a dense array at an index >= 0."""
+    ...
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     reinterpret_cast<uint4*>(values.data + index)[0] = make_uint4(0, 0, 0, 0);
@@ -102,11 +108,18 @@ def pack_half4(r: wp.float32, g: wp.float32, b: wp.float32) -> wp.uint64:
 
 
 @wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float r, g, b;
+    asm("{.reg .b32 lo, hi; .reg .b16 x, y, z, w; mov.b64 {lo, hi}, %3; mov.b32 {x, y}, lo; mov.b32 {z, w}, hi;"
+        "cvt.f32.f16 %0, x; cvt.f32.f16 %1, y; cvt.f32.f16 %2, z;}" : "=f"(r), "=f"(g), "=f"(b) : "l"(word));
+    return wp::vec_t<3, wp::float32>(r, g, b);
+#else
     wp::half x, y, z;
     x.u = static_cast<unsigned short>(word);
     y.u = static_cast<unsigned short>(word >> 16);
     z.u = static_cast<unsigned short>(word >> 32);
     return wp::vec_t<3, wp::float32>(wp::float32(x), wp::float32(y), wp::float32(z));
+#endif
 """)
 def unpack_half3(word: wp.uint64) -> wp.vec3:
     """First three components of a half4."""
