@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import warp as wp
-from warp_deferred.kernels import depth_of_field as kernels
 from warp_deferred.kernels import lens, lens_layers
 from warp_deferred.kernels.structs import View
 
@@ -20,7 +19,7 @@ def circle_kernel(
     views: wp.array[View], depth: wp.array[wp.float32], limit: wp.float32, out_radius: wp.array[wp.float32]
 ):
     i = wp.tid()
-    out_radius[i] = lens.circle_of_confusion(views[0], depth[i], limit)
+    out_radius[i] = lens.circle_of_confusion(lens.lens_terms(views[0]), depth[i], limit)
 
 
 @wp.kernel
@@ -132,8 +131,20 @@ def test_reduced_texels_hold_one_side_and_no_sharp_colour(device):
     assert np.array_equal(out.numpy(), np.float32([e for _, e in cases]))
 
 
-def test_levels_lie_one_after_the_other():
-    assert kernels.REDUCED_TEXELS == 64 + 16 + 4 and lens_layers.TILE_TEXELS == 256 + 64 + 16 + 4
+@wp.kernel
+def rows_kernel(views: wp.array[View], tiles: wp.int32, out_rows: wp.array[lens_layers.Rows]):
+    i = wp.tid()
+    out_rows[i] = lens_layers.rows_of(views[0], tiles, i + 1)
+
+
+def test_levels_lie_one_after_the_other(device):
+    views, row = views_of(wd.Camera(), device)
+    tiles, out = 70, wp.zeros(3, dtype=lens_layers.Rows, device=device)
+    wp.launch(rows_kernel, 3, inputs=[views, tiles], outputs=[out], device=device)
+    assert (row["bins_x"], row["bin_offset"]) == (10, 0)
+    found = [tuple(rows) for rows in out.numpy()]
+    assert found == [(0, 80, 79, 44), (tiles * 64, 40, 39, 22), (tiles * 80, 20, 19, 11)]
+    assert lens_layers.LEVEL_TEXELS == 64 + 16 + 4 and lens_layers.LAYER_TEXELS == 64
 
 
 @pytest.mark.parametrize("radius", [1, 8, 32])
