@@ -154,9 +154,10 @@ def make_composite(half: bool):
         x: wp.int32,
         y: wp.int32,
         lens: wp.vec2,
-        radius: wp.float32,
+        own: wp.float32,
     ):
-        """Mean of the pixels in a small circle, as `behind` takes it; on both sides of the plane in focus."""
+        """Mean of the pixels in the small circle of a pixel, signed as it is, and the sum of their weights."""
+        radius = wp.abs(own)
         shape = circle_shape(view)
         fx, fy = 1.0 / shape[0], 1.0 / shape[1]
         rim = radius + 0.5
@@ -173,7 +174,8 @@ def make_composite(half: bool):
                 c = store_limit(load(image, i), HALF_MAX)
                 distance = fast_root(dx * dx + dy * dy)
                 dx = dx + fx
-                circle = wp.min(wp.abs(s), radius)
+                # Behind as `behind` takes it; before the plane in focus all that is farther away shows through.
+                circle = wp.where(own < 0.0, radius, wp.min(wp.abs(s), radius))
                 # What belongs to the layer before the plane in focus is left to it.
                 share = wp.clamp(circle - distance + 0.5, 0.0, 1.0) * wp.clamp(NEAR_PX + 1.0 + s, 0.0, 1.0)
                 w = share * fast_reciprocal(wp.max(circle * circle, 0.25))
@@ -234,7 +236,7 @@ def make_composite(half: bool):
                 left = 1.0 - 0.0625 * cover[3]
                 wide = wp.max(wide - 0.0625 * cover[3], 0.0) * fast_reciprocal(wp.max(left, 0.001))
             if small:
-                sums = sharp_mean(image, depth, view, x, y, lens, circle)
+                sums = sharp_mean(image, depth, view, x, y, lens, s)
                 if sums[3] > 0.0:
                     color = wp.vec3(sums[0], sums[1], sums[2]) * (1.0 / sums[3])
             if wide > 0.0:

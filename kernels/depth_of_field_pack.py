@@ -2,9 +2,9 @@
 
 depth_of_field.py says what they are for. `pack` is one thread a square of four pixels, one block a tile of 16 x 16:
 the levels of a tile hang together, so that the block makes all of them, each from what it stored of the one before.
-Bytes a pixel: 12 in, 8/3 out for the levels in half4 plans, 2 for the circles. `near_rows` and `near_columns` dilate the
-tiles' largest circles along one axis after the other: a circle that spans both gaps passes both, so the result is that
-of the square. One thread a tile, 2 n + 1 loads each. No atomics; the same bits from run to run.
+Bytes a pixel: 12 in, 8/3 out for the levels in half4 plans, 2 for the circles. `near_rows` and `near_columns` dilate
+the tiles' largest circles along one axis after the other: a circle that spans both gaps passes both, so the result is
+that of the square. One thread a tile, 2 n + 1 loads each. No atomics; the same bits from run to run.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import functools
 import warp as wp
 
 from .image import Image, make_image_codec, store_limit
-from .intrinsics import block_sync, block_width, load_float, load_vec4i
+from .intrinsics import block_sync, block_width, load_float, load_vec4i, warp_largest
 from .lens import circle_of_confusion, lens_terms
 from .lens_layers import Taps, make_taps, merged, rows_of
 from .projection import pixel_block, pixel_in_block, pixel_index
@@ -66,7 +66,9 @@ def near_rows_kernel(
     c = row[1] >> 4
     reach = wp.float32(0.0)
     for x in range(wp.max(c - span, 0), wp.min(c + span, view.bins_x - 1) + 1):
-        reach = farther_reaching(reach, load_float(nearest, tile + x - c), x - c)
+        n = 2 * (tile + x - c)
+        largest = wp.max(load_float(nearest, n), load_float(nearest, n + 1))
+        reach = farther_reaching(reach, largest, x - c)
     out_rows[tile] = reach
 
 
@@ -146,14 +148,10 @@ def make_depth_of_field_pack_kernel(half: bool):
             ca, cb = store_limit(load(image, i), HALF_MAX), store_limit(load(image, i + right), HALF_MAX)
             cc, cd = store_limit(load(image, k), HALF_MAX), store_limit(load(image, k + right), HALF_MAX)
             lens = lens_terms(view)
-            sa, sb = (
-                circle_of_confusion(lens, load_float(depth, i), limit),
-                circle_of_confusion(lens, load_float(depth, i + right), limit),
-            )
-            sc, sd = (
-                circle_of_confusion(lens, load_float(depth, k), limit),
-                circle_of_confusion(lens, load_float(depth, k + right), limit),
-            )
+            sa = circle_of_confusion(lens, load_float(depth, i), limit)
+            sb = circle_of_confusion(lens, load_float(depth, i + right), limit)
+            sc = circle_of_confusion(lens, load_float(depth, k), limit)
+            sd = circle_of_confusion(lens, load_float(depth, k + right), limit)
             rows = rows_of(view, out_taps.tiles, 1)
             texel = merged(
                 wp.vec4(ca[0], ca[1], ca[2], sa),
@@ -166,9 +164,14 @@ def make_depth_of_field_pack_kernel(half: bool):
             near = wp.max(0.0, -wp.min(wp.min(sa, sb), wp.min(sc, sd)))
         out_far[thread] = far
         out_near[thread] = near
+        alone = block_width() == 1
+        half_tile = 2 * row + (lane >> 5)
+        largest = warp_largest(near)
+        if alone and (lane & 31) != 0:
+            largest = wp.max(largest, out_nearest[half_tile])
+        out_nearest[half_tile] = largest
         block_sync()
         # On the CPU, where lanes come one after the other, the last one does it all.
-        alone = block_width() == 1
         if alone and lane < 63:
             return
         begin, step = wp.where(alone, 0, lane), wp.where(alone, 1, PIXEL_BLOCK_AREA)
@@ -181,10 +184,5 @@ def make_depth_of_field_pack_kernel(half: bool):
             x3, y3 = (tile[1] >> 3) + (k & 1), (tile[2] >> 3) + (k >> 1)
             if view.depth_only == 0 and 8 * x3 < view.width and 8 * y3 < view.height:
                 merge_four(out_taps, view, 3, x3, y3)
-        if begin == 0:
-            largest = wp.float32(0.0)
-            for n in range(64):
-                largest = wp.max(largest, out_near[64 * row + n])
-            out_nearest[row] = largest
 
     return pack_kernel

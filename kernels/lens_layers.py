@@ -17,6 +17,7 @@ from .intrinsics import (
     load_double_word,
     load_float,
     load_vec4,
+    multiply_add,
     pack_half4,
     unpack_half3,
 )
@@ -201,10 +202,10 @@ def make_layers(half: bool):
             dx = (left - u) * fx
             for i in range(wp.int32(left), wp.int32(wp.floor(u + wide)) + 1):
                 value = load(taps, row + wp.clamp(i, 0, rows.last_x))
-                distance = fast_root(dx * dx + dy2)
+                distance = fast_root(multiply_add(dx, dx, dy2))
                 dx = dx + fx
                 circle = wp.min(value[3] * inverse, r)
-                square = wp.max(circle * circle - spread, LEAST_BEHIND)
+                square = wp.max(multiply_add(circle, circle, -spread), LEAST_BEHIND)
                 turned = fast_inverse_root(square)
                 share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(value[3] - SHARP_PX, 0.0, 1.0)
                 sums = add_weighted(sums, value, share * turned * turned)
@@ -230,9 +231,11 @@ def make_layers(half: bool):
         spread = spread_of(inverse)
         rim = wp.sqrt(wp.max(r * r - spread, LEAST_BEFORE)) + 0.5
         tall = rim * shape[1]
+        # What lies farther away than the place itself, from a quarter of its circle on.
         contrast = wp.float32(0.0)
         if own > 1.0:
             contrast = 2.0 / own
+        level_with = own * contrast - 0.5
         sums = wp.vec4()
         hidden = wp.vec4()
         for j in range(wp.int32(wp.ceil(v - tall)), wp.int32(wp.floor(v + tall)) + 1):
@@ -244,15 +247,15 @@ def make_layers(half: bool):
             dx = (left - u) * fx
             for i in range(wp.int32(left), wp.int32(wp.floor(u + wide)) + 1):
                 value = load(taps, row + wp.clamp(i, 0, rows.last_x))
-                distance = fast_root(dx * dx + dy2)
+                distance = fast_root(multiply_add(dx, dx, dy2))
                 dx = dx + fx
                 # It counts by its share of the light of its circle, which is spread over the circle's area.
                 circle = value[3] * inverse
-                square = wp.max(circle * circle - spread, LEAST_BEFORE)
+                square = wp.max(multiply_add(circle, circle, -spread), LEAST_BEFORE)
                 turned = fast_inverse_root(square)
                 share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(-NEAR_PX - value[3], 0.0, 1.0)
                 sums = add_weighted(sums, value, share * turned * turned)
-                farther = wp.clamp((value[3] + own) * contrast - 0.5, 0.0, 1.0)
+                farther = wp.clamp(multiply_add(value[3], contrast, level_with), 0.0, 1.0)
                 hidden = add_weighted(hidden, value, farther)
         layers = Layers()
         layers.before = sums * (INVERSE_PI * fx * fy)

@@ -68,7 +68,7 @@ class DepthOfFieldPass(Pass):
             "lens_layers": Buffer(texel, tiles * LAYERS * LAYER_TEXELS),
             "lens_far": Buffer(wp.float32, tiles * LAYER_TEXELS),
             "lens_near": Buffer(wp.float32, tiles * LAYER_TEXELS),
-            "lens_nearest": Buffer(wp.float32, tiles),
+            "lens_nearest": Buffer(wp.float32, tiles * 2),
             "lens_near_rows": Buffer(wp.float32, tiles),
             "lens_reach": Buffer(wp.float32, tiles),
         }
