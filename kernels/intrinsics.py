@@ -128,11 +128,96 @@ def unpack_half3(word: wp.uint64) -> wp.vec3:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    float result;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / value;
+#endif
+""")
+def fast_reciprocal(value: wp.float32) -> wp.float32:
+    """1 / value to within an ulp, in one instruction on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / ::sqrtf(value);
+#endif
+""")
+def fast_inverse_root(value: wp.float32) -> wp.float32:
+    """1 / square root of a value > 0 to within 2 ulp, in one instruction on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return ::sqrtf(value);
+#endif
+""")
+def fast_root(value: wp.float32) -> wp.float32:
+    """Square root of a value >= 0 to within 2 ulp, in one or two instructions on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return a * b + c;
+#endif
+""")
+def multiply_add(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Yield a * b + c, in one instruction and rounded once on CUDA, where files are compiled to round twice."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return wp::vec_t<4, wp::float32>(__fmaf_rn(value[0], weight, sum[0]), __fmaf_rn(value[1], weight, sum[1]),
+        __fmaf_rn(value[2], weight, sum[2]), sum[3] + weight);
+#else
+    return wp::vec_t<4, wp::float32>(sum[0] + value[0] * weight, sum[1] + value[1] * weight,
+        sum[2] + value[2] * weight, sum[3] + weight);
+#endif
+""")
+def add_weighted(sum: wp.vec4, value: wp.vec4, weight: wp.float32) -> wp.vec4:
+    """Sum of weighted colours and, last, of weights, with one more; multiply-adds round once on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __syncthreads();
 #endif
 """)
 def block_sync():
     """Wait for all lanes of the block; every lane must arrive."""
+    ...
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    return value;
+#elif __CUDA_ARCH__ >= 800
+    return __uint_as_float(__reduce_max_sync(0xffffffffu, __float_as_uint(value)));
+#else
+    float largest = value;
+    for (int step = 16; step > 0; step >>= 1)
+        largest = ::fmaxf(largest, __shfl_xor_sync(0xffffffffu, largest, step));
+    return largest;
+#endif
+""")
+def warp_largest(value: wp.float32) -> wp.float32:
+    """Largest of the values >= 0 of a warp's 32 lanes, all of which must arrive; the CPU's one lane's own."""
     ...
 
 
