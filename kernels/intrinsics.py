@@ -24,6 +24,33 @@ def bits_float(bits: wp.uint32) -> wp.float32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return __builtin_fmaf(a, b, c);
+#endif
+""")
+def fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """a b + c, rounded once: one instruction where a product and a sum are two, and the same bits on every device."""
+    ...
+
+
+@wp.func_native("""
+    float value;
+#if defined(__CUDA_ARCH__)
+    asm("fma.rn.sat.f32 %0, %1, %2, %3;" : "=f"(value) : "f"(a), "f"(b), "f"(c));
+#else
+    value = __builtin_fmaf(a, b, c);
+    value = value > 0.0f ? (value < 1.0f ? value : 1.0f) : 0.0f;
+#endif
+    return value;
+""")
+def saturated_fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """`fma` clamped to [0, 1], NaN to 0, at no cost on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return __ffs(bits) - 1;
 #else
     return __builtin_ctz(bits);
@@ -63,6 +90,14 @@ def load_vec4i(values: wp.array[wp.vec4i], index: wp.int32) -> wp.vec4i:
 @wp.func_native("return values.data[index];")
 def load_float(values: wp.array[wp.float32], index: wp.int32) -> wp.float32:
     """Load a float of a dense array by an index >= 0; Warp's own load adds a length and a stride: 6 instructions."""
+    ...
+
+
+@wp.func_native("return present ? (second ? others.data : values.data)[index] : INFINITY;")
+def load_either(
+    values: wp.array[wp.float32], others: wp.array[wp.float32], second: wp.bool, index: wp.int32, present: wp.bool
+) -> wp.float32:
+    """Load a float of one of two arrays as `load_float` does; +inf, without an access, where it is not present."""
     ...
 
 
