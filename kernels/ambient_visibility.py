@@ -55,10 +55,11 @@ NEAREST_PX = wp.constant(1.3)
 #: A sample's place is rounded by adding and taking away 1.5 * 2^23: views are narrower than 2^22 pixels.
 ROUNDER = wp.constant(12582912.0)
 ROUNDER_BITS = wp.constant(wp.uint32(0x4B400000))
-#: Bits of a word that hold depth; the low 8 hold visibility.
+#: Bits of a word that hold depth; the low 8 hold 255ths of what is blocked.
 DEPTH_MASK = wp.constant(wp.uint32(0xFFFFFF00))
-#: Word of the background: depth +inf, visibility 1.
-OPEN_WORD = wp.constant(wp.uint32(0x7F8000FF))
+CODE_MASK = wp.constant(wp.uint32(0xFF))
+#: Word of the background: as a float its depth, +inf, and nothing blocked.
+OPEN_WORD = wp.constant(wp.uint32(0x7F800000))
 #: (codec, slices, steps, half): what CI compiles.
 VARIANTS = [
     (("compact", "oct24", True), 2, 3, False),
@@ -143,8 +144,8 @@ def affine_depth(view: View, depth: wp.float32):
 
 @wp.func
 def pack_visibility(affine: wp.float32, visibility: wp.float32):
-    """Word of an affine depth (15 bits of mantissa) and a visibility (8 bits, rounded)."""
-    return (float_bits(affine) & DEPTH_MASK) | pack_unorm(visibility, 255.0)
+    """Word of an affine depth (15 bits of mantissa) and what a visibility leaves blocked (8 bits, rounded)."""
+    return (float_bits(affine) & DEPTH_MASK) | (CODE_MASK - pack_unorm(visibility, 255.0))
 
 
 @wp.func

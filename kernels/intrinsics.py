@@ -107,6 +107,14 @@ def load_word(values: wp.array[wp.uint32], index: wp.int32) -> wp.uint32:
     ...
 
 
+@wp.func_native("return present ? values.data[index] : otherwise;")
+def load_word_or(
+    values: wp.array[wp.uint32], index: wp.int32, present: wp.bool, otherwise: wp.uint32
+) -> wp.uint32:
+    """`load_word`, or another word, without an access, where it is not present."""
+    ...
+
+
 @wp.func_native("return values.data[index];")
 def load_double_word(values: wp.array[wp.uint64], index: wp.int32) -> wp.uint64:
     """Load a double word of a dense array by an index >= 0, as `load_float` does."""
@@ -172,6 +180,30 @@ def block_width() -> wp.int32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return false;
+#else
+    return true;
+#endif
+""")
+def block_is_lane() -> wp.bool:
+    """Whether blocks have one lane, as `block_width` tells, but known to the compiler: the other branch is left out."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) != 0;
+#else
+    return value;
+#endif
+""")
+def block_any(value: wp.bool) -> wp.bool:
+    """Whether the value is true in any lane of the block; every lane must arrive, as for `block_sync`."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __shared__ int4 words[1280];
     if (storing) {
         words[index] = make_int4(value[0], value[1], value[2], value[3]);
@@ -211,6 +243,23 @@ def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
 
     The CPU, where a block is one lane, shares nothing: there it returns `value`, which the caller has to compute.
     """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ unsigned int staged[1792];
+    if (storing) {
+        staged[index] = value;
+        return value;
+    }
+    return staged[index];
+#else
+    return value;
+#endif
+""")
+def shared_single(storing: wp.bool, index: wp.int32, value: wp.uint32) -> wp.uint32:
+    """Store to, or read from, 1792 words, 7 KiB, that the block's lanes share; else as `shared_pixels`."""
     ...
 
 
