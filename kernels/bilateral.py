@@ -77,7 +77,7 @@ def word_visibility(word: wp.uint32):
 @wp.func
 def final_visibility(visibility: wp.float32, power: wp.float32):
     """Visibility to a power; exact for powers 0 and 1, where no library function is called."""
-    v = wp.min(visibility, 1.0)
+    v = wp.clamp(visibility, 0.0, 1.0)
     if power == 1.0:
         return v
     if power == 0.0:
@@ -203,9 +203,7 @@ def make_blur_kernel(half: bool, wide: bool):
         return (centre & DEPTH_MASK) | (float_bits(code) & CODE_MASK)
 
     @wp.func
-    def row_tap(
-        view: View, words: wp.array[wp.uint32], corner: wp.vec2i, x: wp.int32, y: wp.int32, radius: wp.float32
-    ):
+    def row_tap(view: View, words: wp.array[wp.uint32], corner: wp.vec2i, x: wp.int32, y: wp.int32, radius: wp.float32):
         """`row_word` of what the block has made already."""
         word = wp.uint32(0)
         if block_is_lane():

@@ -30,7 +30,7 @@ def bits_float(bits: wp.uint32) -> wp.float32:
 #endif
 """)
 def fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
-    """a b + c, rounded once: one instruction where a product and a sum are two, and the same bits on every device."""
+    """Product and sum, a b + c, rounded once: one instruction on CUDA, not two, and the same bits on every device."""
     ...
 
 
@@ -108,9 +108,7 @@ def load_word(values: wp.array[wp.uint32], index: wp.int32) -> wp.uint32:
 
 
 @wp.func_native("return present ? values.data[index] : otherwise;")
-def load_word_or(
-    values: wp.array[wp.uint32], index: wp.int32, present: wp.bool, otherwise: wp.uint32
-) -> wp.uint32:
+def load_word_or(values: wp.array[wp.uint32], index: wp.int32, present: wp.bool, otherwise: wp.uint32) -> wp.uint32:
     """`load_word`, or another word, without an access, where it is not present."""
     ...
 

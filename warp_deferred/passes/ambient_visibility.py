@@ -73,8 +73,6 @@ class AmbientVisibilityPass(Pass):
             table = gtao.slice_pattern(settings.slices)
         if self.rung() != "ray_traced":
             self.blurs = [bilateral.make_blur_kernel(self.half, wide) for wide in (False, True)]
-        if self.half:
-            self.upsample = visibility_upsampling.make_upsample_kernel(codec)
         self.table = wp.array(table, dtype=wp.vec4, device=resources.device)
 
     def run(self, resources: Resources) -> None:
@@ -100,10 +98,11 @@ class AmbientVisibilityPass(Pass):
             inputs = [views, resources.bin_tiles, source, self.radius, power, FIRST]
             program.launch(blur, over_bins, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
         if self.half:
-            inputs = [views, resources.blocks, self.gbuffer, words, self.radius, power, FIRST]
+            inputs = [views, resources.bin_tiles, channels["depth"], words, self.radius, power, FIRST]
             program.launch(
-                self.upsample, over_blocks, inputs, [final], block_dim=visibility_upsampling.BLOCK_DIM, band=64
-            )
+                visibility_upsampling.upsample_kernel, over_bins, inputs, [final],
+                block_dim=visibility_upsampling.BLOCK_DIM, band=64,
+            )  # fmt: skip
 
     def _gather_parameters(self) -> list[float]:
         settings = self.request.settings.ambient_visibility
