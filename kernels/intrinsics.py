@@ -24,6 +24,33 @@ def bits_float(bits: wp.uint32) -> wp.float32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return __builtin_fmaf(a, b, c);
+#endif
+""")
+def fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Product and sum, a b + c, rounded once: one instruction on CUDA, not two, and the same bits on every device."""
+    ...
+
+
+@wp.func_native("""
+    float value;
+#if defined(__CUDA_ARCH__)
+    asm("fma.rn.sat.f32 %0, %1, %2, %3;" : "=f"(value) : "f"(a), "f"(b), "f"(c));
+#else
+    value = __builtin_fmaf(a, b, c);
+    value = value > 0.0f ? (value < 1.0f ? value : 1.0f) : 0.0f;
+#endif
+    return value;
+""")
+def saturated_fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """`fma` clamped to [0, 1], NaN to 0, at no cost on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return __ffs(bits) - 1;
 #else
     return __builtin_ctz(bits);
@@ -66,9 +93,23 @@ def load_float(values: wp.array[wp.float32], index: wp.int32) -> wp.float32:
     ...
 
 
+@wp.func_native("return present ? (second ? others.data : values.data)[index] : INFINITY;")
+def load_either(
+    values: wp.array[wp.float32], others: wp.array[wp.float32], second: wp.bool, index: wp.int32, present: wp.bool
+) -> wp.float32:
+    """Load a float of one of two arrays as `load_float` does; +inf, without an access, where it is not present."""
+    ...
+
+
 @wp.func_native("return values.data[index];")
 def load_word(values: wp.array[wp.uint32], index: wp.int32) -> wp.uint32:
     """Load a word of a dense array by an index >= 0, as `load_float` does."""
+    ...
+
+
+@wp.func_native("return present ? values.data[index] : otherwise;")
+def load_word_or(values: wp.array[wp.uint32], index: wp.int32, present: wp.bool, otherwise: wp.uint32) -> wp.uint32:
+    """`load_word`, or another word, without an access, where it is not present."""
     ...
 
 
@@ -235,6 +276,30 @@ def block_width() -> wp.int32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return false;
+#else
+    return true;
+#endif
+""")
+def block_is_lane() -> wp.bool:
+    """Whether blocks have one lane, as `block_width` tells, but known to the compiler: the other branch is left out."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) != 0;
+#else
+    return value;
+#endif
+""")
+def block_any(value: wp.bool) -> wp.bool:
+    """Whether the value is true in any lane of the block; every lane must arrive, as for `block_sync`."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __shared__ int4 words[320];
     if (storing) {
         words[index] = make_int4(value[0], value[1], value[2], value[3]);
@@ -320,6 +385,23 @@ def shared_double_words(
 
     The CPU, where a block is one lane, uses 128 elements of `scratch` from `base` on instead.
     """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ unsigned int staged[1792];
+    if (storing) {
+        staged[index] = value;
+        return value;
+    }
+    return staged[index];
+#else
+    return value;
+#endif
+""")
+def shared_single(storing: wp.bool, index: wp.int32, value: wp.uint32) -> wp.uint32:
+    """Store to, or read from, 1792 words, 7 KiB, that the block's lanes share; else as `shared_pixels`."""
     ...
 
 
