@@ -21,6 +21,7 @@ GROUPS = {
     "points": ("points",),
     "ambient_visibility": ("ambient_visibility",),
     "sampling": ("start_samples", "begin_sample", "accumulate", "average"),
+    "ray_scene": ("ray_scene", "ray_instances"),
     "shadow": ("shadow",),
     "motion": ("motion",),
     "depth_of_field": ("depth_of_field", "lens_samples"),
@@ -32,11 +33,13 @@ GROUPS = {
     "scale": ("scale",),
 }
 #: Files of kernels that belong to an effect without bearing its name.
-MORE_KERNELS = {"depth_of_field": ("lens", "lens_layers"), "ambient_visibility": ("world_mesh",)}
+MORE_KERNELS = {"depth_of_field": ("lens", "lens_layers"), "ambient_visibility": ("hemisphere",)}
 
 
-#: What has to be absent, too: what reads the motion, and what has rungs of many samples in its file.
+#: What has to be absent, too: what reads the motion, what has rungs of many samples in its file, and what only rungs
+#: that trace rays read.
 GOES_WITH = {
+    "ambient_visibility": ("ray_scene",),
     "motion": ("motion_blur",),
     "motion_blur": ("motion",),
     "sampling": ("depth_of_field", "motion_blur", "motion"),
@@ -90,6 +93,7 @@ def scene_without(effect: str):
     )
     values = ["shadow.point_size=128", f"blur.sigma_px={int(has('blur'))}", "blur.rung=gaussian"]
     values += ["scale.rung=half"] * has("scale")
+    values += ["ambient_visibility.rung=ray_traced", "ambient_visibility.rays=4"] * has("ray_scene")
     values += [f"anti_aliasing.rung={'fxaa' if has('anti_aliasing') else 'samples_4'}"]
     return scene, ("display",), wd.Settings().with_values(values)
 
