@@ -164,7 +164,12 @@ EFFECT_CASES: dict[str, EffectCase] = {
             "ray_traced",
             free=lambda scene: _cast(scene, False),
             settings=("shadow.keep_maps=false",),
-            small_settings=("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128"),
+            small_settings=(
+                "shadow.directional_size=256",
+                "shadow.spot_size=256",
+                "shadow.point_size=128",
+                "shadow.samples=16",
+            ),
             size=(720, 405),
             centre=(0.55, 0.55),
             zoom=2,
