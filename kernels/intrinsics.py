@@ -137,7 +137,7 @@ def block_width() -> wp.int32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ int4 words[1280];
+    __shared__ int4 words[320];
     if (storing) {
         words[index] = make_int4(value[0], value[1], value[2], value[3]);
         return value;
@@ -151,9 +151,9 @@ def block_width() -> wp.int32:
 #endif
 """)
 def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32, value: wp.vec4i) -> wp.vec4i:
-    """Store to, or read from, 20 KiB of memory that the block's lanes share; sync between the two.
+    """Store to, or read from, 5 KiB of memory that the block's lanes share; sync between the two.
 
-    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 1280 elements.
+    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 320 elements.
     """
     ...
 

@@ -156,7 +156,8 @@ class ShadowSettings(Record):
     cull: Literal["none", "back", "front"] = "none"
     """Faces that cast no shadow; none: either side of a surface stops light, back: faster where meshes are closed."""
     keep_maps: bool = True
-    """Whether a map stays from frame to frame while neither its view nor a caster in it moves; no pixel differs."""
+    """Whether a map stays from frame to frame while neither its view nor a caster in it moves; no pixel differs. From
+    sample to sample of one frame it stays in any case."""
     samples: int = Field(256, ge=1, le=4096)
     """Rays a pixel and light of the rung ray_traced; the standard error is 0.5 / sqrt(samples) at most."""
 
