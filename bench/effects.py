@@ -155,7 +155,8 @@ def _case(
             continue
         note(f"{case.name}, {text}")
         try:
-            rows.append({"kind": "free", **shared} | measure(case, size, device, tried, repeats))
+            row = measure(case, size, device, tried, repeats)
+            rows.append({"kind": "free", **shared, "rung": case.default(settings), **row})
         except Exception as error:
             skip(f"{case.name}, {text}: {reason(error)}")
     return rows

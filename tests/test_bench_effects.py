@@ -393,3 +393,13 @@ def test_costs_are_judged_by_their_limits(result):
         "idle.difference_ms": 0.005,
     }
     assert "≤ 0.01 ✓" in effect_tables.free_table(on_card | {"rows": [idle]})
+
+
+def test_the_price_of_not_calling_has_launches_bytes_and_seconds():
+    row = {"kind": "free", "case": "blur", "effect": "blur", "rung": "gaussian", "frame.ms": 1.0, "off.ms": 1.0,
+           "free.passes": 0, "free.launches": 0, "free.kernels": 0, "free.bytes": 0, "free.reason": "why",
+           "compile.s": 3.21}  # fmt: skip
+    table = effect_tables.free_table({"device": "CPU", "quick": False, "rows": [row]})
+    assert "| `blur` | not called for: why | 1.00 | 1.00 | 0 | 0 | 0 | 0.0 kB | 3.2 | by the plan, none |" in table
+    more = effect_tables.free_table({"device": "CPU", "quick": False, "rows": [row | {"free.launches": 1}]})
+    assert "by the plan, none" not in more
