@@ -24,6 +24,33 @@ def bits_float(bits: wp.uint32) -> wp.float32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return __builtin_fmaf(a, b, c);
+#endif
+""")
+def fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Product and sum, a b + c, rounded once: one instruction on CUDA, not two, and the same bits on every device."""
+    ...
+
+
+@wp.func_native("""
+    float value;
+#if defined(__CUDA_ARCH__)
+    asm("fma.rn.sat.f32 %0, %1, %2, %3;" : "=f"(value) : "f"(a), "f"(b), "f"(c));
+#else
+    value = __builtin_fmaf(a, b, c);
+    value = value > 0.0f ? (value < 1.0f ? value : 1.0f) : 0.0f;
+#endif
+    return value;
+""")
+def saturated_fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """`fma` clamped to [0, 1], NaN to 0, at no cost on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return __ffs(bits) - 1;
 #else
     return __builtin_ctz(bits);
@@ -66,15 +93,35 @@ def load_float(values: wp.array[wp.float32], index: wp.int32) -> wp.float32:
     ...
 
 
+@wp.func_native("return present ? (second ? others.data : values.data)[index] : INFINITY;")
+def load_either(
+    values: wp.array[wp.float32], others: wp.array[wp.float32], second: wp.bool, index: wp.int32, present: wp.bool
+) -> wp.float32:
+    """Load a float of one of two arrays as `load_float` does; +inf, without an access, where it is not present."""
+    ...
+
+
 @wp.func_native("return values.data[index];")
 def load_word(values: wp.array[wp.uint32], index: wp.int32) -> wp.uint32:
     """Load a word of a dense array by an index >= 0, as `load_float` does."""
     ...
 
 
+@wp.func_native("return present ? values.data[index] : otherwise;")
+def load_word_or(values: wp.array[wp.uint32], index: wp.int32, present: wp.bool, otherwise: wp.uint32) -> wp.uint32:
+    """`load_word`, or another word, without an access, where it is not present."""
+    ...
+
+
 @wp.func_native("return values.data[index];")
 def load_double_word(values: wp.array[wp.uint64], index: wp.int32) -> wp.uint64:
     """Load a double word of a dense array by an index >= 0, as `load_float` does."""
+    ...
+
+
+@wp.func_native("values.data[index] = word;")
+def store_double_word(values: wp.array[wp.uint64], index: wp.int32, word: wp.uint64):
+    """Store a double word into a dense array at an index >= 0."""
     ...
 
 
@@ -102,14 +149,89 @@ def pack_half4(r: wp.float32, g: wp.float32, b: wp.float32) -> wp.uint64:
 
 
 @wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float r, g, b;
+    asm("{.reg .b32 lo, hi; .reg .b16 x, y, z, w; mov.b64 {lo, hi}, %3; mov.b32 {x, y}, lo; mov.b32 {z, w}, hi;"
+        "cvt.f32.f16 %0, x; cvt.f32.f16 %1, y; cvt.f32.f16 %2, z;}" : "=f"(r), "=f"(g), "=f"(b) : "l"(word));
+    return wp::vec_t<3, wp::float32>(r, g, b);
+#else
     wp::half x, y, z;
     x.u = static_cast<unsigned short>(word);
     y.u = static_cast<unsigned short>(word >> 16);
     z.u = static_cast<unsigned short>(word >> 32);
     return wp::vec_t<3, wp::float32>(wp::float32(x), wp::float32(y), wp::float32(z));
+#endif
 """)
 def unpack_half3(word: wp.uint64) -> wp.vec3:
     """First three components of a half4."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / value;
+#endif
+""")
+def fast_reciprocal(value: wp.float32) -> wp.float32:
+    """1 / value to within an ulp, in one instruction on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / ::sqrtf(value);
+#endif
+""")
+def fast_inverse_root(value: wp.float32) -> wp.float32:
+    """1 / square root of a value > 0 to within 2 ulp, in one instruction on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return ::sqrtf(value);
+#endif
+""")
+def fast_root(value: wp.float32) -> wp.float32:
+    """Square root of a value >= 0 to within 2 ulp, in one or two instructions on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return a * b + c;
+#endif
+""")
+def multiply_add(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Yield a * b + c, in one instruction and rounded once on CUDA, where files are compiled to round twice."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return wp::vec_t<4, wp::float32>(__fmaf_rn(value[0], weight, sum[0]), __fmaf_rn(value[1], weight, sum[1]),
+        __fmaf_rn(value[2], weight, sum[2]), sum[3] + weight);
+#else
+    return wp::vec_t<4, wp::float32>(sum[0] + value[0] * weight, sum[1] + value[1] * weight,
+        sum[2] + value[2] * weight, sum[3] + weight);
+#endif
+""")
+def add_weighted(sum: wp.vec4, value: wp.vec4, weight: wp.float32) -> wp.vec4:
+    """Sum of weighted colours and, last, of weights, with one more; multiply-adds round once on CUDA."""
     ...
 
 
@@ -124,6 +246,23 @@ def block_sync():
 
 
 @wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    return value;
+#elif __CUDA_ARCH__ >= 800
+    return __uint_as_float(__reduce_max_sync(0xffffffffu, __float_as_uint(value)));
+#else
+    float largest = value;
+    for (int step = 16; step > 0; step >>= 1)
+        largest = ::fmaxf(largest, __shfl_xor_sync(0xffffffffu, largest, step));
+    return largest;
+#endif
+""")
+def warp_largest(value: wp.float32) -> wp.float32:
+    """Largest of the values >= 0 of a warp's 32 lanes, all of which must arrive; the CPU's one lane's own."""
+    ...
+
+
+@wp.func_native("""
 #if defined(__CUDA_ARCH__)
     return blockDim.x;
 #else
@@ -132,6 +271,30 @@ def block_sync():
 """)
 def block_width() -> wp.int32:
     """Lanes of the block; 1 on the CPU."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return false;
+#else
+    return true;
+#endif
+""")
+def block_is_lane() -> wp.bool:
+    """Whether blocks have one lane, as `block_width` tells, but known to the compiler: the other branch is left out."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) != 0;
+#else
+    return value;
+#endif
+""")
+def block_any(value: wp.bool) -> wp.bool:
+    """Whether the value is true in any lane of the block; every lane must arrive, as for `block_sync`."""
     ...
 
 
@@ -160,22 +323,85 @@ def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32,
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ float4 pixels[324];
-    if (storing) {
-        pixels[index] = make_float4(value[0], value[1], value[2], value[3]);
-        return value;
-    }
-    const float4 v = pixels[index];
-    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+    return 32;
+#else
+    return 1;
+#endif
+""")
+def warp_width() -> wp.int32:
+    """Lanes that run in step, a constant of the device: 32; 1 on the CPU."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const int lane = (threadIdx.x + offset) & 31;
+    return wp::vec_t<4, wp::float32>(
+        __shfl_sync(0xffffffffu, value[0], lane), __shfl_sync(0xffffffffu, value[1], lane),
+        __shfl_sync(0xffffffffu, value[2], lane), __shfl_sync(0xffffffffu, value[3], lane)
+    );
 #else
     return value;
 #endif
 """)
-def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
-    """Store to, or read from, 18 x 18 pixels, 5184 bytes, that the block's lanes share; sync between the two.
+def from_lane(value: wp.vec4, offset: wp.int32) -> wp.vec4:
+    """Value of the lane `offset` further on in the warp, around its end; all its lanes must call it.
 
-    The CPU, where a block is one lane, shares nothing: there it returns `value`, which the caller has to compute.
+    The CPU, where a warp is one lane, gives `value` back.
     """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __any_sync(0xffffffffu, flag);
+#else
+    return flag;
+#endif
+""")
+def any_lane(flag: wp.bool) -> wp.bool:
+    """Whether the flag is set in any lane of the warp; all its lanes must call it."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ wp::uint64 words[128];
+    if (storing) {
+        words[index] = value;
+        return value;
+    }
+    return words[index];
+#else
+    if (storing)
+        scratch.data[base + index] = value;
+    return scratch.data[base + index];
+#endif
+""")
+def shared_double_words(
+    scratch: wp.array[wp.uint64], storing: wp.bool, base: wp.int32, index: wp.int32, value: wp.uint64
+) -> wp.uint64:
+    """Store to, or read from, 1 KiB of memory that the block's lanes share; sync between the two.
+
+    The CPU, where a block is one lane, uses 128 elements of `scratch` from `base` on instead.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ unsigned int staged[1792];
+    if (storing) {
+        staged[index] = value;
+        return value;
+    }
+    return staged[index];
+#else
+    return value;
+#endif
+""")
+def shared_single(storing: wp.bool, index: wp.int32, value: wp.uint32) -> wp.uint32:
+    """Store to, or read from, 1792 words, 7 KiB, that the block's lanes share; else as `shared_pixels`."""
     ...
 
 
@@ -191,6 +417,20 @@ def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
 """)
 def weigh_bytes(word: wp.uint32, weights: wp.uint32) -> wp.int32:
     """Sum of the four bytes of a word, each times a byte of another one; one instruction on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return static_cast<int>(__dp4a(word, weights, static_cast<unsigned int>(sum)));
+#else
+    for (int shift = 0; shift < 32; shift += 8)
+        sum += static_cast<int>((word >> shift) & 255u) * static_cast<int>((weights >> shift) & 255u);
+    return sum;
+#endif
+""")
+def add_weighed(word: wp.uint32, weights: wp.uint32, sum: wp.int32) -> wp.int32:
+    """Add the four bytes of a word, each times a byte of another one, to a sum >= 0; one instruction on CUDA."""
     ...
 
 
