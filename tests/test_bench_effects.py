@@ -328,6 +328,8 @@ def test_costs_are_judged_by_their_limits(result):
            "cost.difference_ms": 0.041}  # fmt: skip
     on_card = {"device": "NVIDIA H200", "quick": False, "skipped": [], "rows": [row]}
     assert "≤ 0.05 ✓" in effect_tables.ladder_table(on_card, "bloom")
+    elsewhere = effect_tables.ladder_table(on_card | {"device": "CPU, 2 cores"}, "bloom")
+    assert "≤ 0.05 |" in elsewhere
     assert "≤ 0.05 ✗" in effect_tables.ladder_table(on_card | {"rows": [row | {"cost.difference_ms": 0.06}]}, "bloom")
     idle = {
         "kind": "free",
