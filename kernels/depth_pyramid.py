@@ -29,10 +29,16 @@ BIN_WORDS = 128
 
 
 @wp.func
+def level_start(view: View, level: wp.int32):
+    """Index of the texel of a level, 1 to LEVELS, that covers pixel (0, 0)."""
+    # The level below is twice as wide: no level 0 is asked for a shift by -1.
+    return (view.bin_offset << 7) + (view.bins_x << 4) - ((view.bins_x << 5) >> level)
+
+
+@wp.func
 def pyramid_index(view: View, level: wp.int32, x: wp.int32, y: wp.int32):
     """Index of the texel of a level, 1 to LEVELS, that covers pixel (x, y)."""
-    pitch = view.bins_x << 4
-    return (view.bin_offset << 7) + (y >> level) * pitch + pitch - (pitch >> (level - 1)) + (x >> level)
+    return level_start(view, level) + (y >> level) * (view.bins_x << 4) + (x >> level)
 
 
 @wp.func

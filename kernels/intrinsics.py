@@ -24,6 +24,33 @@ def bits_float(bits: wp.uint32) -> wp.float32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return __builtin_fmaf(a, b, c);
+#endif
+""")
+def fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Product and sum, a b + c, rounded once: one instruction on CUDA, not two, and the same bits on every device."""
+    ...
+
+
+@wp.func_native("""
+    float value;
+#if defined(__CUDA_ARCH__)
+    asm("fma.rn.sat.f32 %0, %1, %2, %3;" : "=f"(value) : "f"(a), "f"(b), "f"(c));
+#else
+    value = __builtin_fmaf(a, b, c);
+    value = value > 0.0f ? (value < 1.0f ? value : 1.0f) : 0.0f;
+#endif
+    return value;
+""")
+def saturated_fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """`fma` clamped to [0, 1], NaN to 0, at no cost on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return __ffs(bits) - 1;
 #else
     return __builtin_ctz(bits);
@@ -66,9 +93,23 @@ def load_float(values: wp.array[wp.float32], index: wp.int32) -> wp.float32:
     ...
 
 
+@wp.func_native("return present ? (second ? others.data : values.data)[index] : INFINITY;")
+def load_either(
+    values: wp.array[wp.float32], others: wp.array[wp.float32], second: wp.bool, index: wp.int32, present: wp.bool
+) -> wp.float32:
+    """Load a float of one of two arrays as `load_float` does; +inf, without an access, where it is not present."""
+    ...
+
+
 @wp.func_native("return values.data[index];")
 def load_word(values: wp.array[wp.uint32], index: wp.int32) -> wp.uint32:
     """Load a word of a dense array by an index >= 0, as `load_float` does."""
+    ...
+
+
+@wp.func_native("return present ? values.data[index] : otherwise;")
+def load_word_or(values: wp.array[wp.uint32], index: wp.int32, present: wp.bool, otherwise: wp.uint32) -> wp.uint32:
+    """`load_word`, or another word, without an access, where it is not present."""
     ...
 
 
@@ -128,11 +169,96 @@ def unpack_half3(word: wp.uint64) -> wp.vec3:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    float result;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / value;
+#endif
+""")
+def fast_reciprocal(value: wp.float32) -> wp.float32:
+    """1 / value to within an ulp, in one instruction on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / ::sqrtf(value);
+#endif
+""")
+def fast_inverse_root(value: wp.float32) -> wp.float32:
+    """1 / square root of a value > 0 to within 2 ulp, in one instruction on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return ::sqrtf(value);
+#endif
+""")
+def fast_root(value: wp.float32) -> wp.float32:
+    """Square root of a value >= 0 to within 2 ulp, in one or two instructions on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return a * b + c;
+#endif
+""")
+def multiply_add(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Yield a * b + c, in one instruction and rounded once on CUDA, where files are compiled to round twice."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return wp::vec_t<4, wp::float32>(__fmaf_rn(value[0], weight, sum[0]), __fmaf_rn(value[1], weight, sum[1]),
+        __fmaf_rn(value[2], weight, sum[2]), sum[3] + weight);
+#else
+    return wp::vec_t<4, wp::float32>(sum[0] + value[0] * weight, sum[1] + value[1] * weight,
+        sum[2] + value[2] * weight, sum[3] + weight);
+#endif
+""")
+def add_weighted(sum: wp.vec4, value: wp.vec4, weight: wp.float32) -> wp.vec4:
+    """Sum of weighted colours and, last, of weights, with one more; multiply-adds round once on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __syncthreads();
 #endif
 """)
 def block_sync():
     """Wait for all lanes of the block; every lane must arrive."""
+    ...
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    return value;
+#elif __CUDA_ARCH__ >= 800
+    return __uint_as_float(__reduce_max_sync(0xffffffffu, __float_as_uint(value)));
+#else
+    float largest = value;
+    for (int step = 16; step > 0; step >>= 1)
+        largest = ::fmaxf(largest, __shfl_xor_sync(0xffffffffu, largest, step));
+    return largest;
+#endif
+""")
+def warp_largest(value: wp.float32) -> wp.float32:
+    """Largest of the values >= 0 of a warp's 32 lanes, all of which must arrive; the CPU's one lane's own."""
     ...
 
 
@@ -150,7 +276,31 @@ def block_width() -> wp.int32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ int4 words[1280];
+    return false;
+#else
+    return true;
+#endif
+""")
+def block_is_lane() -> wp.bool:
+    """Whether blocks have one lane, as `block_width` tells, but known to the compiler: the other branch is left out."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) != 0;
+#else
+    return value;
+#endif
+""")
+def block_any(value: wp.bool) -> wp.bool:
+    """Whether the value is true in any lane of the block; every lane must arrive, as for `block_sync`."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ int4 words[320];
     if (storing) {
         words[index] = make_int4(value[0], value[1], value[2], value[3]);
         return value;
@@ -164,9 +314,9 @@ def block_width() -> wp.int32:
 #endif
 """)
 def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32, value: wp.vec4i) -> wp.vec4i:
-    """Store to, or read from, 20 KiB of memory that the block's lanes share; sync between the two.
+    """Store to, or read from, 5 KiB of memory that the block's lanes share; sync between the two.
 
-    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 1280 elements.
+    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 320 elements.
     """
     ...
 
@@ -235,6 +385,23 @@ def shared_double_words(
 
     The CPU, where a block is one lane, uses 128 elements of `scratch` from `base` on instead.
     """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ unsigned int staged[1792];
+    if (storing) {
+        staged[index] = value;
+        return value;
+    }
+    return staged[index];
+#else
+    return value;
+#endif
+""")
+def shared_single(storing: wp.bool, index: wp.int32, value: wp.uint32) -> wp.uint32:
+    """Store to, or read from, 1792 words, 7 KiB, that the block's lanes share; else as `shared_pixels`."""
     ...
 
 

@@ -8,7 +8,7 @@ import warp as wp
 from ..kernels import ambient_visibility as gtao
 from ..kernels import ambient_visibility_ssao as ssao
 from ..kernels import ambient_visibility_traced as traced
-from ..kernels import bilateral, depth_pyramid
+from ..kernels import bilateral, depth_pyramid, visibility_upsampling
 from ..program import FIRST
 from ..resources import Resources
 from ..world_mesh import WorldMesh
@@ -71,8 +71,8 @@ class AmbientVisibilityPass(Pass):
         else:
             self.gather = gtao.make_ambient_visibility_kernel(codec, settings.slices, settings.steps, self.half)
             table = gtao.slice_pattern(settings.slices)
-        if self.half:
-            self.upsample = bilateral.make_upsample_kernel(codec)
+        if self.rung() != "ray_traced":
+            self.blurs = [bilateral.make_blur_kernel(self.half, wide) for wide in (False, True)]
         self.table = wp.array(table, dtype=wp.vec4, device=resources.device)
 
     def run(self, resources: Resources) -> None:
@@ -92,15 +92,17 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
         inputs = [views, tiles, self.gbuffer, pyramid, self.table, *self._gather_parameters(), FIRST]
         program.launch(self.gather, threads, inputs, [words], block_dim=gtao.BLOCK_DIM, band=64)
-        blur, half = bilateral.blur_words_kernel, int(self.half)
-        # Narrow rows and columns, then wide ones; the last one finishes, or hands over to the upsampling.
-        stages = [(0, 0, words, rows), (1, 0, rows, words), (0, 1, words, rows)] + [(1, 1, rows, words)] * half
-        for columns, wide, source, target in stages:
-            inputs = [views, tiles, source, self.radius, columns, wide, half, FIRST]
-            program.launch(blur, threads, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
-        last, source = (self.upsample, words) if self.half else (bilateral.blur_final_kernel, rows)
-        inputs = [views, resources.blocks, *([self.gbuffer] * half), source, self.radius, power, FIRST]
-        program.launch(last, over_blocks, inputs, [final], block_dim=bilateral.BLOCK_DIM, band=64)
+        # The wide blur finishes, or hands over to the upsampling.
+        stages = zip(self.blurs, (words, rows), (rows, words if self.half else final), strict=True)
+        for blur, source, target in stages:
+            inputs = [views, resources.bin_tiles, source, self.radius, power, FIRST]
+            program.launch(blur, over_bins, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
+        if self.half:
+            inputs = [views, resources.bin_tiles, channels["depth"], words, self.radius, power, FIRST]
+            program.launch(
+                visibility_upsampling.upsample_kernel, over_bins, inputs, [final],
+                block_dim=visibility_upsampling.BLOCK_DIM, band=64,
+            )  # fmt: skip
 
     def _gather_parameters(self) -> list[float]:
         settings = self.request.settings.ambient_visibility
