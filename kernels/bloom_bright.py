@@ -20,7 +20,8 @@ import functools
 import warp as wp
 
 from .bloom import MOST, half_texel, mirrored, word_value
-from .intrinsics import any_lane, from_lane, load_vec4i, pack_half4, store_double_word, warp_width
+from .intrinsics import load_vec4i, pack_half4, store_double_word
+from .lanes import any_lane, from_lane, warp_width
 from .projection import pixel_block, pixel_index
 from .structs import MODULE_OPTIONS, Bloom, View
 

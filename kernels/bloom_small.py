@@ -17,7 +17,8 @@ from __future__ import annotations
 import warp as wp
 
 from .bloom import half_texel, mirrored, mixed, narrowed, six_sums, tent_ahead, thirteen_taps, word_value
-from .intrinsics import block_sync, load_vec4i, shared_double_words, unpack_half3, warp_width
+from .intrinsics import block_sync, load_vec4i, unpack_half3
+from .lanes import shared_double_words, warp_width
 from .projection import pixel_block
 from .structs import BloomLevel, View
 
