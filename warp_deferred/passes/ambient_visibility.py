@@ -11,7 +11,6 @@ from ..kernels import ambient_visibility_traced as traced
 from ..kernels import bilateral, depth_pyramid, visibility_upsampling
 from ..program import FIRST
 from ..resources import Resources
-from ..world_mesh import WorldMesh
 from .base import Buffer, Pass
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
 
@@ -33,7 +32,7 @@ class AmbientVisibilityPass(Pass):
 
     def reads(self) -> tuple[str, ...]:
         """Depth and normals."""
-        return ("depth", *gbuffer_buffers(self.request, self.layout))
+        return ("depth", *gbuffer_buffers(self.request, self.layout), *(["rays"] * (self.rung() == "ray_traced")))
 
     def writes(self) -> dict[str, Buffer]:
         """Visibility, and what its making needs: the depth pyramid, words before and after the first blur."""
@@ -55,15 +54,15 @@ class AmbientVisibilityPass(Pass):
         return self.rung() == "gtao_half"
 
     def prepare(self, resources: Resources) -> None:
-        """Fetch the kernels, upload patterns; for the reference rung build the world's triangles and their BVH."""
+        """Fetch the kernels, upload patterns; for the reference rung have the trees for rays made."""
         settings, codec = self.request.settings.ambient_visibility, gbuffer_codec(self.request)
         low, high = resources.scene.box()
         radius = float(np.linalg.norm(high - low)) / 20.0 if settings.radius_m is None else settings.radius_m
         self.radius = min(radius, LARGEST_RADIUS)
         self.gbuffer = make_gbuffer(resources)
         if self.rung() == "ray_traced":
-            self.world = WorldMesh(resources.scene)
-            self.gather = traced.make_ambient_visibility_traced_kernel(codec, self.world.grouped)
+            self.rays = resources.scene.rays().struct()
+            self.gather = traced.make_ambient_visibility_traced_kernel(codec)
             table = traced.cosine_directions(settings.rays)
         elif self.rung() == "ssao":
             self.gather = ssao.make_ambient_visibility_ssao_kernel(codec)
@@ -112,10 +111,9 @@ class AmbientVisibilityPass(Pass):
 
     def _trace(self, resources: Resources) -> None:
         settings = self.request.settings.ambient_visibility
-        self.world.add_update(resources.program)
         inputs = [
-            resources.frame.views, resources.blocks, wp.uint64(self.world.id), self.world.anchor, self.gbuffer,
-            self.table, self.radius, settings.bias, settings.power, FIRST,
+            resources.frame.views, resources.blocks, self.rays, self.gbuffer, self.table, self.radius, settings.bias,
+            settings.power, FIRST,
         ]  # fmt: skip
         resources.program.launch(
             self.gather, len(self.layout.blocks) * 64, inputs, [resources.channels["ambient_visibility"]],
