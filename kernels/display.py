@@ -11,8 +11,8 @@ import functools
 import warp as wp
 
 from .color import CURVES, clamp_radiance, srgb_code, tone_curve
-from .intrinsics import load_double_word, load_vec4i, unpack_half3
-from .projection import pixel_block, pixel_in_block, pixel_index
+from .intrinsics import load_double_word, unpack_half3
+from .projection import pixel_index, pixel_of
 from .structs import MODULE_OPTIONS, Bloom, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -91,11 +91,9 @@ def make_display_kernel(curve: str, half: bool, bloom: str):
         # Out
         out_display: wp.array[wp.uint32],
     ):
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, pixel_block(thread))
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)
@@ -105,7 +103,7 @@ def make_display_kernel(curve: str, half: bool, bloom: str):
         else:
             value = color[i]
         v = clamp_radiance(value * view.exposure)
-        mapped = tone(scatter(v, value, view, block[0], wp.vec2i(x, y), i, scattered))
+        mapped = tone(scatter(v, value, view, pixel[0], wp.vec2i(x, y), i, scattered))
         r = srgb_code(mapped[0], thresholds)
         g = srgb_code(mapped[1], thresholds)
         b = srgb_code(mapped[2], thresholds)
