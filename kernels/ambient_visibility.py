@@ -37,7 +37,7 @@ import warp as wp
 
 from .depth_pyramid import LEVELS, level_start, pyramid_index
 from .encoding import make_gbuffer_codec, pack_unorm
-from .intrinsics import bits_float, float_bits, fma, load_either, load_float, load_vec4, load_vec4i, saturated_fma
+from .intrinsics import bits_float, float_bits, fma, fnma, load_either, load_float, load_vec4, load_vec4i, saturated_fma
 from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, GBuffer, View
 
@@ -108,19 +108,18 @@ def fast_rsqrt(x: wp.float32):
     """
     y = bits_float(wp.uint32(0x5F375A86) - (float_bits(x) >> wp.uint32(1)))
     half = 0.5 * x
-    y = y * fma(-half * y, y, 1.5)
-    return y * fma(-half * y, y, 1.5)
+    y = y * fnma(half * y, y, 1.5)
+    return y * fnma(half * y, y, 1.5)
 
 
 @wp.func
 def rough_rsqrt(x: wp.float32):
-    """1 / sqrt(x) within 7e-4 by one Newton step of fitted factors; x = 0 gives something large.
+    """1 / sqrt(x) within 1e-3 by one Newton step; x = 0 gives something large.
 
-    Source: Kadlec 2010, "Improving the fast inverse square root".
+    After Kadlec 2010, "Improving the fast inverse square root"; both numbers are a fit of ours with one factor fewer.
     """
-    y = bits_float(wp.uint32(0x5F1FFFF9) - (float_bits(x) >> wp.uint32(1)))
-    # 0.703952253 (2.38924456 - x y^2)
-    return y * fma(-0.703952253 * x * y, y, 1.68191409)
+    y = bits_float(wp.uint32(0x5F0B3800) - (float_bits(x) >> wp.uint32(1)))
+    return y * fnma(x * y, y, 1.891)
 
 
 @wp.func
@@ -311,8 +310,8 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
             row = load_vec4(pattern, k * 16 + phase)
             # The tangent is the slice's direction less its part along v; the unit direction lies in the image plane.
             along = fma(row[1], v[1], row[0] * v[0])
-            across = fma(-along, facing, fma(row[1], n[1], row[0] * n[0]))
-            nt = across * rough_rsqrt(wp.max(fma(-along, along, 1.0), 1.0e-6))
+            across = fnma(along, facing, fma(row[1], n[1], row[0] * n[0]))
+            nt = across * rough_rsqrt(wp.max(fnma(along, along, 1.0), 1.0e-6))
             sine = wp.clamp(nt * rough_rsqrt(fma(nt, nt, nv * nv)), -1.0, 1.0)
             # Towards +t the tangent plane stands at n + 90 degrees, towards -t at 90 - n.
             negative = wp.float32(0.0) - sine
@@ -327,8 +326,8 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
                 c1 = sample_horizon(view, depth, pyramid, g, g.x + x, g.y + y, level, negative, sine, c1)
                 c0 = sample_horizon(view, depth, pyramid, g, g.x - x, g.y - y, level, sine, negative, c0)
             c1, c0 = wp.min(c1, 1.0), wp.min(c0, 1.0)
-            total = fma(nv, fma(-c1, c1, fma(-c0, c0, 2.0)), fma(nt, arc_part(c0) - arc_part(c1), total))
-            open_total = fma(2.0 * nv, fma(-sine, sine, 1.0), fma(2.0 * nt, arc_part(sine), open_total))
+            total = fma(nv, fnma(c1, c1, fnma(c0, c0, 2.0)), fma(nt, arc_part(c0) - arc_part(c1), total))
+            open_total = fma(2.0 * nv, fnma(sine, sine, 1.0), fma(2.0 * nt, arc_part(sine), open_total))
         # No slice sees the normal, or something was not finite: nothing is known to block.
         if not (open_total > 0.0 and wp.isfinite(total)):
             return wp.float32(1.0)
