@@ -12,7 +12,7 @@ import functools
 
 import warp as wp
 
-from .bloom import bright_part, exposed
+from .bloom_bright import bright_of
 from .intrinsics import load_vec4i, unpack_half3
 from .projection import pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, View
@@ -75,9 +75,9 @@ def make_bright_pixels_kernel(half: bool):
             return
         i = pixel_index(view, x, y)
         if wp.static(half):
-            out_bright[i] = bright_part(exposed(unpack_half3(radiance[i]), view.exposure), bloom)
+            out_bright[i] = bright_of(unpack_half3(radiance[i]), view.exposure, bloom)
         else:
-            out_bright[i] = bright_part(exposed(color[i], view.exposure), bloom)
+            out_bright[i] = bright_of(color[i], view.exposure, bloom)
 
     return bright_pixels_kernel
 

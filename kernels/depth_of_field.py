@@ -1,24 +1,29 @@
 """Depth of field: blur by circles of confusion, after the samples of a pixel are averaged. Block size 64.
 
-`gather`: every pixel asks its neighbourhood whose circles cover it (scatter as gather; Jimenez 2014, "Next Generation
-Post Processing in Call of Duty: Advanced Warfare", for layers, weights by area and reach by tile; weights, reduction
-and fill are ours). What lies behind the plane in focus and what lies before it are two layers:
+`gather`: every texel of two by two pixels asks its neighbourhood whose circles cover it (scatter as gather; Jimenez
+2014, "Next Generation Post Processing in Call of Duty: Advanced Warfare", for layers, weights by area, reach by tile
+and half size; weights, reduction, fill and composite are ours). What lies behind the plane in focus and what lies
+before it are two layers:
 
-- behind: taps within the pixel's own circle. A tap reaches no farther than the smaller of its own circle and the
-  pixel's, so a sharp object neither bleeds into a blurred background nor is bled over, and counts by the inverse of
+- behind: taps within the texel's own circle. A tap reaches no farther than the smaller of its own circle and the
+  texel's, so a sharp object neither bleeds into a blurred background nor is bled over, and counts by the inverse of
   that circle's area, as its light is spread over it. The weights are normalised.
 - before: taps within the largest circle of the neighbourhood before the plane in focus, which dilated tiles tell. A
-  tap counts by the share of its circle that falls to the pixel; the sum is the layer's coverage. Taps nearer than the
-  pixel are laid over those as near as it, and these over what fills in for the part that such a pixel hides: the mean
-  of the taps farther away.
+  tap counts by the share of its circle that falls to the texel; the sum is the layer's coverage.
+- hidden, where the texel itself lies before: the mean of the taps farther away, which shows where coverage ends.
 
 Taps of large circles come from reduced copies of the image: level l has texels of 2^l pixels, and averages only
-children on one side with circles of about one size. Every texel around a pixel is one tap, at its true distance, so no
-bright point falls between taps and nothing shows where the texels lie. All levels lie in tiles of 16 x 16 pixels, one
-texel one load: half4 of colour and signed radius, or vec4 in float32 plans.
+children on one side with circles of about one size. Every texel around a place is one tap, at its true distance, so no
+bright point falls between taps. Circles are drawn smaller by what texels and interpolation spread by themselves.
 
-Bytes a pixel: 12 in, 8 + 8/3 out for the levels; image in and out 16, taps from the caches. Operations: about 30 a tap,
-a pixel in focus takes none, one of a circle of n texels (2 n + 1)^2. No atomics; the same bits from run to run.
+`composite` brings the layers up to whole pixels: a pixel in focus keeps its colour, one of a small circle takes the
+mean of the whole pixels in it, one of a larger circle its own layer's four texels, those of circles like its own first;
+over all of them lies what is before the plane in focus.
+
+Bytes a pixel: `pack` 12 in, 8/3 and 2 out; `gather` 4 + 6 out, taps from the caches; `composite` 12 in, 8 out, layers
+from L2. Operations: `gather` 28 a tap behind and 36 before, 80 taps of a circle of 5 texels, a quarter of that a
+pixel; `composite` 60 to 120, and 30 a tap where a circle is small. A pixel in focus takes no tap. No atomics; the same
+bits from run to run.
 """
 
 from __future__ import annotations
@@ -28,30 +33,31 @@ import functools
 import warp as wp
 
 from .image import Image, make_image_codec, store_limit
-from .intrinsics import load_vec4i
-from .lens import circle_of_confusion, disc_point, lens_scale, through_lens
+from .intrinsics import add_weighted, fast_reciprocal, fast_root, load_float, load_vec4i
+from .lens import circle_of_confusion, circle_shape, disc_point, lens_scale, lens_terms, through_lens
 from .lens_layers import (
-    NEAR_TOP,
-    REDUCED_TEXELS,
+    BEFORE,
+    BEHIND,
+    FAR_PX,
+    HIDDEN,
+    NEAR_PX,
+    SHARP_PX,
     Taps,
+    layer_first,
     make_layers,
     make_taps,
-    merged,
     reach_at,
-    tap_index,
-    texel_index,
+    rows_of,
 )
-from .projection import pixel_in_block, pixel_index
+from .projection import pixel_block, pixel_in_block, pixel_index
 from .sampling import Sample
-from .structs import BIN_TILE, MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
+from .structs import MODULE_OPTIONS, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
-#: (rung, half image): what CI compiles.
-VARIANTS = [("gather", True), ("gather", False), ("plane_lerp", True), ("plane_lerp", False)]
-#: Circles smaller than this radius are points [px]: no tap of theirs leaves the pixel.
-SHARP_PX = wp.constant(wp.float32(0.5))
+#: (half image,): what CI compiles.
+VARIANTS = [(True,), (False,)]
 #: Radiance that goes into sums: half's range.
 HALF_MAX = wp.constant(wp.float32(65504.0))
 
@@ -73,237 +79,134 @@ def lens_samples_kernel(
 
 
 @wp.func
-def over(color: wp.vec3, sums: wp.vec3, weight: wp.float32):
-    """A layer of that coverage, at most 1, laid over a colour."""
-    return color + (sums * (1.0 / weight) - color) * wp.min(weight, 1.0)
-
-
-@functools.cache
-def make_depth_of_field_kernels(rung: str, half: bool):
-    """Kernels of a rung: (pack, reduce, dilate, gather) or (rows, columns).
-
-    Args:
-        rung: gather or plane_lerp.
-        half: Whether the plan keeps half4 images.
-    """
-    return make_gather(half) if rung == "gather" else make_plane_lerp(half)
+def mean_of(sums: wp.vec4, radius: wp.float32):
+    """Mean colour of weighted sums, with a circle's radius."""
+    mean = sums * (1.0 / sums[3])
+    return wp.vec4(mean[0], mean[1], mean[2], radius)
 
 
 @functools.cache
 def make_gather(half: bool):
-    """(pack, reduce, dilate, gather) kernels; `half`: whether the plan keeps half4 images."""
-    load, store = make_image_codec(half)
-    load_tap, store_tap = make_taps(half)
+    """Kernel that gathers the layers; `half`: whether the plan keeps half4 images."""
+    store_tap = make_taps(half)[1]
     behind, before = make_layers(half)
-
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
-    def pack_kernel(
-        # Frame
-        views: wp.array[View],
-        tiles: wp.array[wp.vec4i],
-        # In
-        image: Image,
-        depth: wp.array[wp.float32],
-        # Params
-        limit: wp.float32,
-        first: wp.int32,
-        # Out
-        out_taps: Taps,
-        out_near: wp.array[wp.float32],
-    ):
-        """One thread a square of four pixels: levels 0 and 1, and the nearest circle before the plane in focus."""
-        thread = wp.tid() + first
-        tile = load_vec4i(tiles, thread // 64)
-        view = views[tile[0]]
-        lane = thread % 64
-        x, y = tile[1] + 2 * (lane & 7), tile[2] + 2 * (lane >> 3)
-        if view.depth_only != 0 or x >= view.width or y >= view.height:
-            # No tap reads it, but dilation looks at every square of a tile.
-            out_near[thread] = 0.0
-            return
-        # A square that crosses the edge repeats what is inside.
-        right, down = wp.min(x + 1, view.width - 1), wp.min(y + 1, view.height - 1)
-        i, j = pixel_index(view, x, y), pixel_index(view, right, y)
-        k, m = pixel_index(view, x, down), pixel_index(view, right, down)
-        ca, cb = store_limit(load(image, i), HALF_MAX), store_limit(load(image, j), HALF_MAX)
-        cc, cd = store_limit(load(image, k), HALF_MAX), store_limit(load(image, m), HALF_MAX)
-        a = wp.vec4(ca[0], ca[1], ca[2], circle_of_confusion(view, depth[i], limit))
-        b = wp.vec4(cb[0], cb[1], cb[2], circle_of_confusion(view, depth[j], limit))
-        c = wp.vec4(cc[0], cc[1], cc[2], circle_of_confusion(view, depth[k], limit))
-        d = wp.vec4(cd[0], cd[1], cd[2], circle_of_confusion(view, depth[m], limit))
-        store_tap(out_taps, tap_index(view, out_taps.tiles, 0, x, y), a)
-        store_tap(out_taps, tap_index(view, out_taps.tiles, 0, right, y), b)
-        store_tap(out_taps, tap_index(view, out_taps.tiles, 0, x, down), c)
-        store_tap(out_taps, tap_index(view, out_taps.tiles, 0, right, down), d)
-        store_tap(out_taps, tap_index(view, out_taps.tiles, 1, x, y), merged(a, b, c, d))
-        out_near[thread] = wp.max(0.0, -wp.min(wp.min(a[3], b[3]), wp.min(c[3], d[3])))
-
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
-    def reduce_kernel(
-        # Frame
-        views: wp.array[View],
-        tiles: wp.array[wp.vec4i],
-        # Params
-        level: wp.int32,
-        first: wp.int32,
-        # Out
-        out_taps: Taps,
-        out_near: wp.array[wp.float32],
-    ):
-        """One thread a texel of a level: merge four of the level below."""
-        thread = wp.tid() + first
-        texels = 256 >> (2 * level)
-        side = 16 >> level
-        tile, local = thread // texels, thread % texels
-        row = load_vec4i(tiles, tile)
-        view = views[row[0]]
-        x, y = row[1] + ((local % side) << level), row[2] + ((local // side) << level)
-        # Children in the texel order of their own level; those beyond the edge hold nothing.
-        below = (2 * (local // side)) * (2 * side) + 2 * (local % side)
-        # Nearest circles have no level 0, hence one level's offset less.
-        n = texel_index(out_taps.tiles, tile, level - 1, below) - 256 * out_taps.tiles
-        near = wp.max(wp.max(out_near[n], out_near[n + 1]), wp.max(out_near[n + 2 * side], out_near[n + 2 * side + 1]))
-        out_near[texel_index(out_taps.tiles, tile, level, local) - 256 * out_taps.tiles] = near
-        if view.depth_only != 0 or x >= view.width or y >= view.height:
-            return
-        half_side = 1 << (level - 1)
-        right, down = wp.min(x + half_side, view.width - 1), wp.min(y + half_side, view.height - 1)
-        a = load_tap(out_taps, tap_index(view, out_taps.tiles, level - 1, x, y))
-        b = load_tap(out_taps, tap_index(view, out_taps.tiles, level - 1, right, y))
-        c = load_tap(out_taps, tap_index(view, out_taps.tiles, level - 1, x, down))
-        d = load_tap(out_taps, tap_index(view, out_taps.tiles, level - 1, right, down))
-        store_tap(out_taps, tap_index(view, out_taps.tiles, level, x, y), merged(a, b, c, d))
-
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
-    def dilate_kernel(
-        # Frame
-        views: wp.array[View],
-        tiles: wp.array[wp.vec4i],
-        # In
-        near: wp.array[wp.float32],
-        # Params
-        limit: wp.float32,
-        first: wp.int32,
-        # Out
-        out_reach: wp.array[wp.float32],
-    ):
-        """One thread a tile: the largest circle before the plane in focus that reaches it or a tile next to it."""
-        tile = wp.tid() + first
-        row = load_vec4i(tiles, tile)
-        view = views[row[0]]
-        base = NEAR_TOP * (near.shape[0] // wp.static(REDUCED_TEXELS))
-        span = wp.int32(wp.ceil(limit * 0.0625)) + 1
-        cx, cy = row[1] >> 4, row[2] >> 4
-        reach = wp.float32(0.0)
-        for y in range(wp.max(cy - span, 0), wp.min(cy + span, (view.height - 1) >> 4) + 1):
-            for x in range(wp.max(cx - span, 0), wp.min(cx + span, view.bins_x - 1) + 1):
-                n = base + 4 * (view.bin_offset + y * view.bins_x + x)
-                largest = wp.max(wp.max(near[n], near[n + 1]), wp.max(near[n + 2], near[n + 3]))
-                # Gap between the tiles [px], less the one tile that interpolation between tiles looks beyond.
-                gap = wp.max(wp.max(wp.abs(x - cx), wp.abs(y - cy)) - 2, 0) * BIN_TILE
-                if largest > wp.float32(gap):
-                    reach = wp.max(reach, largest)
-        out_reach[tile] = reach
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def gather_kernel(
         # Frame
         views: wp.array[View],
-        blocks: wp.array[wp.vec4i],
+        tiles: wp.array[wp.vec4i],
         # In
-        image: Image,
-        depth: wp.array[wp.float32],
         taps: Taps,
+        far: wp.array[wp.float32],
+        near: wp.array[wp.float32],
         reach: wp.array[wp.float32],
         # Params
-        limit: wp.float32,
         texels: wp.int32,
         first: wp.int32,
         # Out
-        out_image: Image,
+        out_layers: Taps,
     ):
-        """One thread a pixel."""
+        """One thread a texel of level 1: the layers as its middle sees them."""
         thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+        tile = load_vec4i(tiles, pixel_block(thread))
         place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
-        if x >= view.width or y >= view.height:
+        view = views[tile[0]]
+        x, y = (tile[1] >> 1) + place[0], (tile[2] >> 1) + place[1]
+        if view.depth_only != 0 or 2 * x >= view.width or 2 * y >= view.height:
             return
-        i = pixel_index(view, x, y)
-        color = load(image, i)
-        s = circle_of_confusion(view, depth[i], limit)
-        if s > SHARP_PX:
-            sums = behind(taps, view, x, y, s, texels)
+        rows = rows_of(view, taps.tiles, 1)
+        i = rows.first + y * rows.pitch + x
+        # Where the texel's four pixels meet.
+        px, py = wp.float32(2 * x + 1), wp.float32(2 * y + 1)
+        texel = wp.vec4()
+        radius = far[thread]
+        if radius > FAR_PX:
+            sums = behind(taps, view, px, py, radius, texels)
             if sums[3] > 0.0:
-                color = wp.vec3(sums[0], sums[1], sums[2]) * (1.0 / sums[3])
-        radius = reach_at(reach, view, x, y)
-        if radius > SHARP_PX:
-            layers = before(taps, view, x, y, radius, s, texels)
-            if layers.fill_weight > 0.0 and s < 0.0:
-                filled = layers.fill * (1.0 / layers.fill_weight)
-                color = color + (filled - color) * wp.min(-s, 1.0)
-            if layers.same_weight > 0.0:
-                color = over(color, layers.same, layers.same_weight)
-            if layers.front_weight > 0.0:
-                color = over(color, layers.front, layers.front_weight)
-        store(out_image, i, color)
+                texel = mean_of(sums, radius)
+        store_tap(out_layers, i + layer_first(taps.tiles, BEHIND), texel)
+        cover, hidden = wp.vec4(), wp.vec4()
+        radius = reach_at(reach, view, px, py)
+        if radius > NEAR_PX:
+            own = near[thread]
+            layers = before(taps, view, px, py, radius, own, texels)
+            cover = layers.before * (1.0 / wp.max(layers.before[3], 1.0))
+            if layers.hidden[3] > 0.0:
+                hidden = mean_of(layers.hidden, own)
+        store_tap(out_layers, i + layer_first(taps.tiles, BEFORE), cover)
+        store_tap(out_layers, i + layer_first(taps.tiles, HIDDEN), hidden)
 
-    return pack_kernel, reduce_kernel, dilate_kernel, gather_kernel
+    return gather_kernel
 
 
 @functools.cache
-def make_plane_lerp(half: bool):
-    """(rows, columns) kernels; `half`: whether the plan keeps half4 images."""
+def make_composite(half: bool):
+    """Kernel that lays the layers over the image; `half`: whether the plan keeps half4 images."""
     load, store = make_image_codec(half)
+    load_tap = make_taps(half)[0]
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
-    def rows_kernel(
-        # Frame
-        views: wp.array[View],
-        blocks: wp.array[wp.vec4i],
-        # In
+    @wp.func
+    def sharp_mean(
         image: Image,
-        weights: wp.array[wp.float32],
-        # Params
-        first: wp.int32,
-        # Out
-        out_blurred: Image,
-    ):
-        """One thread a pixel: blur along x; what lies beyond the edge repeats it."""
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
-        if x >= view.width or y >= view.height:
-            return
-        radius = weights.shape[0] - 1
-        total = wp.vec3(0.0, 0.0, 0.0)
-        for k in range(-radius, radius + 1):
-            j = pixel_index(view, wp.clamp(x + k, 0, view.width - 1), y)
-            total = total + store_limit(load(image, j), HALF_MAX) * weights[wp.abs(k)]
-        store(out_blurred, pixel_index(view, x, y), total)
-
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
-    def columns_kernel(
-        # Frame
-        views: wp.array[View],
-        blocks: wp.array[wp.vec4i],
-        # In
-        image: Image,
-        blurred: Image,
         depth: wp.array[wp.float32],
-        weights: wp.array[wp.float32],
+        view: View,
+        x: wp.int32,
+        y: wp.int32,
+        lens: wp.vec2,
+        own: wp.float32,
+    ):
+        """Mean of the pixels in the small circle of a pixel, signed as it is, and the sum of their weights."""
+        radius = wp.abs(own)
+        shape = circle_shape(view)
+        fx, fy = 1.0 / shape[0], 1.0 / shape[1]
+        rim = radius + 0.5
+        ny = wp.int32(rim * shape[1])
+        sums = wp.vec4()
+        for j in range(-ny, ny + 1):
+            dy = wp.float32(j) * fy
+            nx = wp.int32(fast_root(wp.max(rim * rim - dy * dy, 0.0)) * shape[0])
+            row = pixel_index(view, 0, wp.clamp(y + j, 0, view.height - 1))
+            dx = -wp.float32(nx) * fx
+            for tx in range(x - nx, x + nx + 1):
+                i = row + wp.clamp(tx, 0, view.width - 1)
+                s = circle_of_confusion(lens, load_float(depth, i), FAR_PX + 1.0)
+                c = store_limit(load(image, i), HALF_MAX)
+                distance = fast_root(dx * dx + dy * dy)
+                dx = dx + fx
+                # Behind as `behind` takes it; before the plane in focus all that is farther away shows through.
+                circle = wp.where(own < 0.0, radius, wp.min(wp.abs(s), radius))
+                # What belongs to the layer before the plane in focus is left to it.
+                share = wp.clamp(circle - distance + 0.5, 0.0, 1.0) * wp.clamp(NEAR_PX + 1.0 + s, 0.0, 1.0)
+                w = share * fast_reciprocal(wp.max(circle * circle, 0.25))
+                sums = add_weighted(sums, wp.vec4(c[0], c[1], c[2], 0.0), w)
+        return sums
+
+    @wp.func
+    def alike(sums: wp.vec4, texel: wp.vec4, weight: wp.float32, inverse: wp.float32):
+        """Sums with a layer's texel, which counts by how near its circle comes to the pixel's, 1 / inverse."""
+        w = wp.where(texel[3] > 0.0, weight * wp.max(1.0 - 2.0 * wp.abs(texel[3] * inverse - 1.0), 0.001), 0.0)
+        return add_weighted(sums, texel, w)
+
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
+    def composite_kernel(
+        # Frame
+        views: wp.array[View],
+        blocks: wp.array[wp.vec4i],
+        # In
+        image: Image,
+        depth: wp.array[wp.float32],
+        layers: Taps,
+        reach: wp.array[wp.float32],
         # Params
-        power: wp.float32,
+        limit: wp.float32,
         first: wp.int32,
         # Out
         out_image: Image,
     ):
-        """One thread a pixel: blur along y, then mix by distance from the plane in focus; power < 0: the lens's."""
+        """One thread a pixel: from its own colour over its own layer's to what lies before it."""
         thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
+        block = load_vec4i(blocks, pixel_block(thread))
         place = pixel_in_block(thread)
         view = views[block[0]]
         x, y = block[1] + place[0], block[2] + place[1]
@@ -311,17 +214,50 @@ def make_plane_lerp(half: bool):
             return
         i = pixel_index(view, x, y)
         color = load(image, i)
-        radius = weights.shape[0] - 1
-        scale = power
-        if power < 0.0:
-            scale = lens_scale(view) / (view.focus_distance * wp.float32(radius))
-        share = wp.min(scale * wp.abs(1.0 - view.focus_distance / depth[i]), 1.0)
-        if share > 0.0 and lens_scale(view) > 0.0:
-            total = wp.vec3(0.0, 0.0, 0.0)
-            for k in range(-radius, radius + 1):
-                j = pixel_index(view, x, wp.clamp(y + k, 0, view.height - 1))
-                total = total + load(blurred, j) * weights[wp.abs(k)]
-            color = color + (total - color) * share
+        lens = lens_terms(view)
+        s = circle_of_confusion(lens, load_float(depth, i), limit)
+        circle = wp.abs(s)
+        # The four texels around the pixel's middle: weights 9, 3, 3, 1 of 16.
+        rows = rows_of(view, layers.tiles, 1)
+        tx, ty = x >> 1, y >> 1
+        upper = rows.first + ty * rows.pitch
+        lower = rows.first + wp.clamp(ty + 2 * (y & 1) - 1, 0, rows.last_y) * rows.pitch
+        ux = wp.clamp(tx + 2 * (x & 1) - 1, 0, rows.last_x)
+        cover = wp.vec4()
+        if load_float(reach, view.bin_offset + (y >> 4) * view.bins_x + (x >> 4)) > NEAR_PX:
+            k = layer_first(layers.tiles, BEFORE)
+            cover = load_tap(layers, k + upper + tx) * 9.0 + load_tap(layers, k + upper + ux) * 3.0
+            cover = cover + load_tap(layers, k + lower + tx) * 3.0 + load_tap(layers, k + lower + ux)
+        if circle > SHARP_PX:
+            wide = wp.clamp(circle - wp.where(s > 0.0, FAR_PX, NEAR_PX), 0.0, 1.0)
+            small = wide < 1.0
+            if s < 0.0:
+                # Of a circle's share in the layer before it, what is not covered there is hidden by the pixel itself.
+                left = 1.0 - 0.0625 * cover[3]
+                wide = wp.max(wide - 0.0625 * cover[3], 0.0) * fast_reciprocal(wp.max(left, 0.001))
+            if small:
+                sums = sharp_mean(image, depth, view, x, y, lens, s)
+                if sums[3] > 0.0:
+                    color = wp.vec3(sums[0], sums[1], sums[2]) * (1.0 / sums[3])
+            if wide > 0.0:
+                k = layer_first(layers.tiles, wp.where(s > 0.0, BEHIND, HIDDEN))
+                inverse = fast_reciprocal(circle)
+                sums = alike(wp.vec4(), load_tap(layers, k + upper + tx), 9.0, inverse)
+                sums = alike(sums, load_tap(layers, k + upper + ux), 3.0, inverse)
+                sums = alike(sums, load_tap(layers, k + lower + tx), 3.0, inverse)
+                sums = alike(sums, load_tap(layers, k + lower + ux), 1.0, inverse)
+                if sums[3] > 0.0:
+                    mean = wp.vec3(sums[0], sums[1], sums[2]) * (1.0 / sums[3])
+                    color = color + (mean - color) * wp.min(wide, 1.0)
+        if cover[3] > 0.0:
+            mean = wp.vec3(cover[0], cover[1], cover[2]) * (1.0 / cover[3])
+            color = color + (mean - color) * wp.min(0.0625 * cover[3], 1.0)
         store(out_image, i, color)
 
-    return rows_kernel, columns_kernel
+    return composite_kernel
+
+
+@functools.cache
+def make_depth_of_field_kernels(half: bool):
+    """(gather, composite) kernels; `half`: whether the plan keeps half4 images."""
+    return make_gather(half), make_composite(half)

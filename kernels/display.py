@@ -43,7 +43,8 @@ def make_scatter(bloom: str):
             return v
 
         return nothing
-    from .bloom import bilinear, bright_part, exposed
+    from .bloom import bilinear
+    from .bloom_bright import bright_of
 
     @wp.func
     def scatter(v: wp.vec3, value: wp.vec3, view: View, index: wp.int32, place: wp.vec2i, i: wp.int32, source: Bloom):
@@ -55,7 +56,7 @@ def make_scatter(bloom: str):
             gained = source.full[i]
         else:
             gained = bilinear(source.texels, source.levels[index * source.level_count], place[0], place[1])
-        lost = bright_part(exposed(value, view.exposure), source)
+        lost = bright_of(value, view.exposure, source)
         return clamp_radiance((v - lost * share) + gained * share)
 
     return scatter

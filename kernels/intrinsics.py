@@ -131,6 +131,12 @@ def load_double_word(values: wp.array[wp.uint64], index: wp.int32) -> wp.uint64:
     ...
 
 
+@wp.func_native("values.data[index] = word;")
+def store_double_word(values: wp.array[wp.uint64], index: wp.int32, word: wp.uint64):
+    """Store a double word into a dense array at an index >= 0."""
+    ...
+
+
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
     reinterpret_cast<uint4*>(values.data + index)[0] = make_uint4(0, 0, 0, 0);
@@ -155,14 +161,89 @@ def pack_half4(r: wp.float32, g: wp.float32, b: wp.float32) -> wp.uint64:
 
 
 @wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float r, g, b;
+    asm("{.reg .b32 lo, hi; .reg .b16 x, y, z, w; mov.b64 {lo, hi}, %3; mov.b32 {x, y}, lo; mov.b32 {z, w}, hi;"
+        "cvt.f32.f16 %0, x; cvt.f32.f16 %1, y; cvt.f32.f16 %2, z;}" : "=f"(r), "=f"(g), "=f"(b) : "l"(word));
+    return wp::vec_t<3, wp::float32>(r, g, b);
+#else
     wp::half x, y, z;
     x.u = static_cast<unsigned short>(word);
     y.u = static_cast<unsigned short>(word >> 16);
     z.u = static_cast<unsigned short>(word >> 32);
     return wp::vec_t<3, wp::float32>(wp::float32(x), wp::float32(y), wp::float32(z));
+#endif
 """)
 def unpack_half3(word: wp.uint64) -> wp.vec3:
     """First three components of a half4."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / value;
+#endif
+""")
+def fast_reciprocal(value: wp.float32) -> wp.float32:
+    """1 / value to within an ulp, in one instruction on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return 1.0f / ::sqrtf(value);
+#endif
+""")
+def fast_inverse_root(value: wp.float32) -> wp.float32:
+    """1 / square root of a value > 0 to within 2 ulp, in one instruction on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float result;
+    asm("sqrt.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(value));
+    return result;
+#else
+    return ::sqrtf(value);
+#endif
+""")
+def fast_root(value: wp.float32) -> wp.float32:
+    """Square root of a value >= 0 to within 2 ulp, in one or two instructions on CUDA in place of eight."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return a * b + c;
+#endif
+""")
+def multiply_add(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Yield a * b + c, in one instruction and rounded once on CUDA, where files are compiled to round twice."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return wp::vec_t<4, wp::float32>(__fmaf_rn(value[0], weight, sum[0]), __fmaf_rn(value[1], weight, sum[1]),
+        __fmaf_rn(value[2], weight, sum[2]), sum[3] + weight);
+#else
+    return wp::vec_t<4, wp::float32>(sum[0] + value[0] * weight, sum[1] + value[1] * weight,
+        sum[2] + value[2] * weight, sum[3] + weight);
+#endif
+""")
+def add_weighted(sum: wp.vec4, value: wp.vec4, weight: wp.float32) -> wp.vec4:
+    """Sum of weighted colours and, last, of weights, with one more; multiply-adds round once on CUDA."""
     ...
 
 
@@ -173,6 +254,23 @@ def unpack_half3(word: wp.uint64) -> wp.vec3:
 """)
 def block_sync():
     """Wait for all lanes of the block; every lane must arrive."""
+    ...
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    return value;
+#elif __CUDA_ARCH__ >= 800
+    return __uint_as_float(__reduce_max_sync(0xffffffffu, __float_as_uint(value)));
+#else
+    float largest = value;
+    for (int step = 16; step > 0; step >>= 1)
+        largest = ::fmaxf(largest, __shfl_xor_sync(0xffffffffu, largest, step));
+    return largest;
+#endif
+""")
+def warp_largest(value: wp.float32) -> wp.float32:
+    """Largest of the values >= 0 of a warp's 32 lanes, all of which must arrive; the CPU's one lane's own."""
     ...
 
 
@@ -214,7 +312,7 @@ def block_any(value: wp.bool) -> wp.bool:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ int4 words[1280];
+    __shared__ int4 words[320];
     if (storing) {
         words[index] = make_int4(value[0], value[1], value[2], value[3]);
         return value;
@@ -228,30 +326,76 @@ def block_any(value: wp.bool) -> wp.bool:
 #endif
 """)
 def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32, value: wp.vec4i) -> wp.vec4i:
-    """Store to, or read from, 20 KiB of memory that the block's lanes share; sync between the two.
+    """Store to, or read from, 5 KiB of memory that the block's lanes share; sync between the two.
 
-    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 1280 elements.
+    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 320 elements.
     """
     ...
 
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ float4 pixels[324];
-    if (storing) {
-        pixels[index] = make_float4(value[0], value[1], value[2], value[3]);
-        return value;
-    }
-    const float4 v = pixels[index];
-    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+    return 32;
+#else
+    return 1;
+#endif
+""")
+def warp_width() -> wp.int32:
+    """Lanes that run in step, a constant of the device: 32; 1 on the CPU."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const int lane = (threadIdx.x + offset) & 31;
+    return wp::vec_t<4, wp::float32>(
+        __shfl_sync(0xffffffffu, value[0], lane), __shfl_sync(0xffffffffu, value[1], lane),
+        __shfl_sync(0xffffffffu, value[2], lane), __shfl_sync(0xffffffffu, value[3], lane)
+    );
 #else
     return value;
 #endif
 """)
-def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
-    """Store to, or read from, 18 x 18 pixels, 5184 bytes, that the block's lanes share; sync between the two.
+def from_lane(value: wp.vec4, offset: wp.int32) -> wp.vec4:
+    """Value of the lane `offset` further on in the warp, around its end; all its lanes must call it.
 
-    The CPU, where a block is one lane, shares nothing: there it returns `value`, which the caller has to compute.
+    The CPU, where a warp is one lane, gives `value` back.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __any_sync(0xffffffffu, flag);
+#else
+    return flag;
+#endif
+""")
+def any_lane(flag: wp.bool) -> wp.bool:
+    """Whether the flag is set in any lane of the warp; all its lanes must call it."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ wp::uint64 words[128];
+    if (storing) {
+        words[index] = value;
+        return value;
+    }
+    return words[index];
+#else
+    if (storing)
+        scratch.data[base + index] = value;
+    return scratch.data[base + index];
+#endif
+""")
+def shared_double_words(
+    scratch: wp.array[wp.uint64], storing: wp.bool, base: wp.int32, index: wp.int32, value: wp.uint64
+) -> wp.uint64:
+    """Store to, or read from, 1 KiB of memory that the block's lanes share; sync between the two.
+
+    The CPU, where a block is one lane, uses 128 elements of `scratch` from `base` on instead.
     """
     ...
 
@@ -285,6 +429,20 @@ def shared_single(storing: wp.bool, index: wp.int32, value: wp.uint32) -> wp.uin
 """)
 def weigh_bytes(word: wp.uint32, weights: wp.uint32) -> wp.int32:
     """Sum of the four bytes of a word, each times a byte of another one; one instruction on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return static_cast<int>(__dp4a(word, weights, static_cast<unsigned int>(sum)));
+#else
+    for (int shift = 0; shift < 32; shift += 8)
+        sum += static_cast<int>((word >> shift) & 255u) * static_cast<int>((weights >> shift) & 255u);
+    return sum;
+#endif
+""")
+def add_weighed(word: wp.uint32, weights: wp.uint32, sum: wp.int32) -> wp.int32:
+    """Add the four bytes of a word, each times a byte of another one, to a sum >= 0; one instruction on CUDA."""
     ...
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .intrinsics import fast_reciprocal
 from .structs import ORTHOGRAPHIC, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -26,13 +27,19 @@ def lens_scale(view: View):
 
 
 @wp.func
-def circle_of_confusion(view: View, depth: wp.float32, limit: wp.float32):
+def lens_terms(view: View):
+    """(a, b) such that the circle of confusion of a depth z is a / z + b [px m, px]; 0 and 0 where all is in focus."""
+    scale = lens_scale(view)
+    return wp.vec2(-scale, scale / view.focus_distance)
+
+
+@wp.func
+def circle_of_confusion(lens: wp.vec2, depth: wp.float32, limit: wp.float32):
     """Radius of a depth's circle of confusion [px], negative before the plane in focus; depth may be +inf.
 
     Where pixels are not square it is that along the axis with more of them to a metre.
     """
-    radius = lens_scale(view) * (1.0 / view.focus_distance - 1.0 / depth)
-    return wp.clamp(radius, -limit, limit)
+    return wp.clamp(lens[0] * fast_reciprocal(depth) + lens[1], -limit, limit)
 
 
 @wp.func

@@ -1,6 +1,7 @@
-"""Layers of depth of field: the reduced image that taps read, and what the taps around a pixel come to.
+"""Layers of depth of field: the reduced image that taps read, and what the taps around a texel come to.
 
-Functions and structs only; depth_of_field.py says what the layers are.
+Functions and structs only; depth_of_field.py says what the layers are. Levels and layers lie row by row: a view's rows
+of a level are as long as its tiles are wide, so that a tap's address is its row's and its column.
 """
 
 from __future__ import annotations
@@ -9,103 +10,124 @@ import functools
 
 import warp as wp
 
-from .intrinsics import load_vec4, pack_half4, unpack_half3
+from .intrinsics import (
+    add_weighted,
+    fast_inverse_root,
+    fast_root,
+    load_double_word,
+    load_float,
+    load_vec4,
+    multiply_add,
+    pack_half4,
+    unpack_half3,
+)
 from .lens import circle_shape
 from .structs import View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-#: Texels of a 16 x 16 tile over all levels, 256 + 64 + 16 + 4, and without the first.
-TILE_TEXELS = 340
-REDUCED_TEXELS = 84
+#: Texels of a 16 x 16 tile in levels 1, 2 and 3, and in one layer, which is as fine as level 1.
+LEVEL_TEXELS = 84
+LAYER_TEXELS = 64
+#: Layers: what lies behind the plane in focus, what lies before it, and what that hides.
+BEHIND, BEFORE, HIDDEN = wp.constant(0), wp.constant(1), wp.constant(2)
+LAYERS = 3
 INVERSE_PI = wp.constant(wp.float32(0.3183098861837907))
-#: Texels before level 3, the nearest circles', which have no level 0.
-NEAR_TOP = wp.constant(80)
+#: Squares of the smallest circles that texels are drawn with [texels]: behind as themselves, before over neighbours.
+LEAST_BEHIND, LEAST_BEFORE = wp.constant(wp.float32(0.25)), wp.constant(wp.float32(0.5625))
+#: Circles larger than these, behind the plane in focus and before it, are drawn by layers too, from one pixel more by
+#: layers alone [px].
+FAR_PX, NEAR_PX = wp.constant(wp.float32(2.5)), wp.constant(wp.float32(1.5))
+#: Circles smaller than this radius are points [px]: no tap of theirs leaves the pixel.
+SHARP_PX = wp.constant(wp.float32(0.5))
 
 
 @wp.struct
 class Taps:
-    """The reduced image, in the plan's format; the other array is one element long and never touched."""
+    """Texels in the plan's format; the other array is one element long and never touched."""
 
-    half: wp.array[wp.uint64]  # half4: colour, signed radius [px]
+    half: wp.array[wp.uint64]  # half4: colour, and a radius [px] or a coverage
     full: wp.array[wp.vec4]
     tiles: wp.int32  # 16 x 16 tiles of all views
 
 
 @wp.struct
+class Rows:
+    """Where a view's texels of a level lie."""
+
+    first: wp.int32  # its first texel
+    pitch: wp.int32  # texels from one row to the next
+    last_x: wp.int32  # last texel that holds a pixel of the view
+    last_y: wp.int32
+
+
+@wp.struct
 class Layers:
-    """Weighted sums of the taps before the plane in focus."""
+    """Weighted sums of colours, and their weights, of taps before the plane in focus and of what they hide."""
 
-    front: wp.vec3  # nearer than the pixel
-    front_weight: wp.float32
-    same: wp.vec3  # as near as it
-    same_weight: wp.float32
-    fill: wp.vec3  # what lies behind it
-    fill_weight: wp.float32
+    before: wp.vec4  # the weight is the coverage
+    hidden: wp.vec4
 
 
 @wp.func
-def level_base(level: wp.int32):
-    """Texels of a tile in the levels before one: 0, 256, 320, 336."""
-    return (1024 - (1024 >> (2 * level))) // 3
+def rows_of(view: View, tiles: wp.int32, level: wp.int32):
+    """Rows of a level, 1 to 3; those of level 1 are also a layer's, whose first texel is `layer_first` more."""
+    rows = Rows()
+    # Texels of a tile in the levels before: 0, 64, 80.
+    before = (256 - (1024 >> (2 * level))) // 3
+    rows.first = tiles * before + view.bin_offset * (256 >> (2 * level))
+    rows.pitch = view.bins_x << (4 - level)
+    rows.last_x = (view.width - 1) >> level
+    rows.last_y = (view.height - 1) >> level
+    return rows
 
 
 @wp.func
-def texel_index(tiles: wp.int32, tile: wp.int32, level: wp.int32, local: wp.int32):
-    """Index of a tile's texel: levels one after the other, each tile after tile."""
-    return tiles * level_base(level) + tile * (256 >> (2 * level)) + local
+def layer_first(tiles: wp.int32, layer: wp.int32):
+    """Texels of all layers before one."""
+    return tiles * wp.static(LAYER_TEXELS) * layer
 
 
 @wp.func
-def tap_index(view: View, tiles: wp.int32, level: wp.int32, x: wp.int32, y: wp.int32):
-    """Index of the texel of a level that a pixel of the view lies in; beyond the edge, the edge's."""
-    px, py = wp.clamp(x, 0, view.width - 1), wp.clamp(y, 0, view.height - 1)
-    tile = view.bin_offset + (py >> 4) * view.bins_x + (px >> 4)
-    return texel_index(tiles, tile, level, (((py & 15) >> level) << (4 - level)) + ((px & 15) >> level))
-
-
-@wp.func
-def reach_at(reach: wp.array[wp.float32], view: View, x: wp.int32, y: wp.int32):
-    """Reach of circles before the plane in focus at a pixel [px], smooth from tile to tile and never too small."""
-    fx, fy = (wp.float32(x) - 7.5) * 0.0625, (wp.float32(y) - 7.5) * 0.0625
+def reach_at(reach: wp.array[wp.float32], view: View, x: wp.float32, y: wp.float32):
+    """Reach of circles before the plane in focus at a place [px], smooth from tile to tile and never too small."""
+    fx, fy = (x - 8.0) * 0.0625, (y - 8.0) * 0.0625
     x0, y0 = wp.int32(wp.floor(fx)), wp.int32(wp.floor(fy))
     tx, ty = fx - wp.float32(x0), fy - wp.float32(y0)
     last_x, last_y = view.bins_x - 1, (view.height - 1) >> 4
     left, right = wp.max(x0, 0), wp.min(x0 + 1, last_x)
     upper = view.bin_offset + wp.max(y0, 0) * view.bins_x
     lower = view.bin_offset + wp.min(y0 + 1, last_y) * view.bins_x
-    a, b = reach[upper + left], reach[upper + right]
-    c, d = reach[lower + left], reach[lower + right]
+    a, b = load_float(reach, upper + left), load_float(reach, upper + right)
+    c, d = load_float(reach, lower + left), load_float(reach, lower + right)
     above, below = a + (b - a) * tx, c + (d - c) * tx
     return above + (below - above) * ty
 
 
 @wp.func
 def level_of(radius: wp.float32, reach: wp.int32):
-    """Lowest level at which a radius is at most so many texels, or the highest."""
+    """Lowest level from 1 on at which a radius is at most so many texels, or the highest."""
     texel = radius / wp.float32(reach)
-    return wp.where(texel <= 1.0, 0, wp.where(texel <= 2.0, 1, wp.where(texel <= 4.0, 2, 3)))
+    return wp.where(texel <= 2.0, 1, wp.where(texel <= 4.0, 2, 3))
 
 
 @wp.func
-def texels_of(radius: wp.float32, level: wp.int32):
-    """Texels to either side that a circle around any pixel of a texel may touch, half a texel of slope included."""
-    return wp.int32(radius / wp.float32(1 << level) + 1.0)
+def spread_of(inverse: wp.float32):
+    """How much the square of a circle's radius grows by itself [texels], for texels of 1 / inverse pixels.
 
-
-@wp.func
-def covers(radius: wp.float32, distance: wp.float32, inverse_texel: wp.float32):
-    """Share of a tap's place that lies within its circle: 1 inside, 0 outside, a slope of one texel between."""
-    return wp.clamp((radius - distance) * inverse_texel + 0.5, 0.0, 1.0)
+    A texel is a square, as wide as a disc of a third of its side squared, and layers are interpolated between texels
+    of two pixels, which is as much as a disc of 8/3 square pixels.
+    """
+    return 0.33333334 + 2.6666667 * inverse * inverse
 
 
 @functools.cache
 def make_taps(half: bool):
-    """(load, store) functions of a texel: colour and signed radius."""
+    """(load, store) functions of a texel: colour and signed radius, or colour and coverage."""
 
     @wp.func
     def load_half(taps: Taps, i: wp.int32):
-        word = taps.half[i]
+        word = load_double_word(taps.half, i)
         c = unpack_half3(word)
         s = unpack_half3(word >> wp.uint64(48))
         return wp.vec4(c[0], c[1], c[2], s[0])
@@ -154,78 +176,90 @@ def merged(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
 
 @functools.cache
 def make_layers(half: bool):
-    """(behind, before) functions: what the texels around a pixel come to. `reach` is the most texels of a radius."""
+    """(behind, before) functions: what the texels around a place [px] come to. `texels` is the most of a radius."""
     load = make_taps(half)[0]
 
     @wp.func
-    def behind(taps: Taps, view: View, x: wp.int32, y: wp.int32, radius: wp.float32, reach: wp.int32):
-        """Weighted sum of the colours of the taps within the pixel's circle, and their weight."""
-        level = level_of(radius, reach)
-        size = 1 << level
+    def behind(taps: Taps, view: View, x: wp.float32, y: wp.float32, radius: wp.float32, texels: wp.int32):
+        """Weighted sum of the colours of the taps within a circle, and their weight."""
+        level = level_of(radius, texels)
+        rows = rows_of(view, taps.tiles, level)
         shape = circle_shape(view)
-        nx, ny = texels_of(radius * shape[0], level), texels_of(radius * shape[1], level)
-        inverse = 1.0 / wp.float32(size)
-        smallest = 0.25 * wp.float32(size * size)
         fx, fy = 1.0 / shape[0], 1.0 / shape[1]
-        left, top = (x >> level) - nx, (y >> level) - ny
-        color = wp.vec3(0.0, 0.0, 0.0)
-        weight = wp.float32(0.0)
-        for j in range(2 * ny + 1):
-            ty = (top + j) << level
-            dy = (wp.float32(ty - y) + 0.5 * wp.float32(size - 1)) * fy
-            for i in range(2 * nx + 1):
-                tx = (left + i) << level
-                dx = (wp.float32(tx - x) + 0.5 * wp.float32(size - 1)) * fx
-                distance = wp.sqrt(dx * dx + dy * dy)
-                value = load(taps, tap_index(view, taps.tiles, level, tx, ty))
-                circle = wp.clamp(value[3], 0.0, radius)
-                # What lies before the plane in focus is the other layer's.
-                share = covers(circle, distance, inverse) * wp.clamp(1.0 + value[3], 0.0, 1.0)
-                w = share / wp.max(circle * circle, smallest)
-                color = color + wp.vec3(value[0], value[1], value[2]) * w
-                weight = weight + w
-        return wp.vec4(color[0], color[1], color[2], weight)
+        # In texels, from their centres.
+        inverse = 1.0 / wp.float32(1 << level)
+        u, v, r = x * inverse - 0.5, y * inverse - 0.5, radius * inverse
+        spread = spread_of(inverse)
+        rim = wp.sqrt(wp.max(r * r - spread, LEAST_BEHIND)) + 0.5
+        tall = rim * shape[1]
+        sums = wp.vec4()
+        for j in range(wp.int32(wp.ceil(v - tall)), wp.int32(wp.floor(v + tall)) + 1):
+            dy = (wp.float32(j) - v) * fy
+            dy2 = dy * dy
+            wide = wp.sqrt(wp.max(rim * rim - dy2, 0.0)) * shape[0]
+            row = rows.first + wp.clamp(j, 0, rows.last_y) * rows.pitch
+            left = wp.ceil(u - wide)
+            dx = (left - u) * fx
+            for i in range(wp.int32(left), wp.int32(wp.floor(u + wide)) + 1):
+                value = load(taps, row + wp.clamp(i, 0, rows.last_x))
+                distance = fast_root(multiply_add(dx, dx, dy2))
+                dx = dx + fx
+                circle = wp.min(value[3] * inverse, r)
+                square = wp.max(multiply_add(circle, circle, -spread), LEAST_BEHIND)
+                turned = fast_inverse_root(square)
+                share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(value[3] - SHARP_PX, 0.0, 1.0)
+                sums = add_weighted(sums, value, share * turned * turned)
+        return sums
 
     @wp.func
-    def before(taps: Taps, view: View, x: wp.int32, y: wp.int32, radius: wp.float32, own: wp.float32, reach: wp.int32):
-        """Taps before the plane in focus: nearer than the pixel, as near as it, and what fills in behind it."""
-        level = level_of(radius, reach)
-        size = 1 << level
+    def before(
+        taps: Taps,
+        view: View,
+        x: wp.float32,
+        y: wp.float32,
+        radius: wp.float32,
+        own: wp.float32,
+        texels: wp.int32,
+    ):
+        """What lies before the plane in focus, and what lies farther away than a circle of that radius there."""
+        level = level_of(radius, texels)
+        rows = rows_of(view, taps.tiles, level)
         shape = circle_shape(view)
-        nx, ny = texels_of(radius * shape[0], level), texels_of(radius * shape[1], level)
-        inverse = 1.0 / wp.float32(size)
-        area = wp.float32(size * size) * INVERSE_PI
-        smallest = 0.25 * wp.float32(size * size)
         fx, fy = 1.0 / shape[0], 1.0 / shape[1]
-        left, top = (x >> level) - nx, (y >> level) - ny
-        side = wp.min(own, 0.0)
-        contrast = 2.0 / wp.max(-side, 1.0)
+        inverse = 1.0 / wp.float32(1 << level)
+        u, v, r = x * inverse - 0.5, y * inverse - 0.5, radius * inverse
+        spread = spread_of(inverse)
+        rim = wp.sqrt(wp.max(r * r - spread, LEAST_BEFORE)) + 0.5
+        tall = rim * shape[1]
+        # What lies farther away than the place itself, from a quarter of its circle on.
+        contrast = wp.float32(0.0)
+        if own > 1.0:
+            contrast = 2.0 / own
+        level_with = own * contrast - 0.5
+        sums = wp.vec4()
+        hidden = wp.vec4()
+        for j in range(wp.int32(wp.ceil(v - tall)), wp.int32(wp.floor(v + tall)) + 1):
+            dy = (wp.float32(j) - v) * fy
+            dy2 = dy * dy
+            wide = wp.sqrt(wp.max(rim * rim - dy2, 0.0)) * shape[0]
+            row = rows.first + wp.clamp(j, 0, rows.last_y) * rows.pitch
+            left = wp.ceil(u - wide)
+            dx = (left - u) * fx
+            for i in range(wp.int32(left), wp.int32(wp.floor(u + wide)) + 1):
+                value = load(taps, row + wp.clamp(i, 0, rows.last_x))
+                distance = fast_root(multiply_add(dx, dx, dy2))
+                dx = dx + fx
+                # It counts by its share of the light of its circle, which is spread over the circle's area.
+                circle = value[3] * inverse
+                square = wp.max(multiply_add(circle, circle, -spread), LEAST_BEFORE)
+                turned = fast_inverse_root(square)
+                share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(-NEAR_PX - value[3], 0.0, 1.0)
+                sums = add_weighted(sums, value, share * turned * turned)
+                farther = wp.clamp(multiply_add(value[3], contrast, level_with), 0.0, 1.0)
+                hidden = add_weighted(hidden, value, farther)
         layers = Layers()
-        for j in range(2 * ny + 1):
-            ty = (top + j) << level
-            dy = (wp.float32(ty - y) + 0.5 * wp.float32(size - 1)) * fy
-            for i in range(2 * nx + 1):
-                tx = (left + i) << level
-                dx = (wp.float32(tx - x) + 0.5 * wp.float32(size - 1)) * fx
-                # A pixel covers itself, however small its circle.
-                distance = wp.where(i == nx and j == ny, 0.0, wp.sqrt(dx * dx + dy * dy))
-                value = load(taps, tap_index(view, taps.tiles, level, tx, ty))
-                s = value[3]
-                c = wp.vec3(value[0], value[1], value[2])
-                circle = wp.max(-s, 0.0)
-                # It counts by area over its circle's, which is widened where it is smaller than a texel.
-                w = covers(wp.where(distance == 0.0, wp.float32(size), circle), distance, inverse)
-                w = w * wp.min(circle, 1.0) * area / wp.max(circle * circle, smallest)
-                nearer = w * wp.clamp(2.0 * (side - s) / wp.max(circle, 1.0) - 0.5, 0.0, 1.0)
-                farther = wp.clamp((s - side) * contrast - 0.5, 0.0, 1.0)
-                layers.front = layers.front + c * nearer
-                layers.front_weight = layers.front_weight + nearer
-                w = (w - nearer) * (1.0 - farther)
-                layers.same = layers.same + c * w
-                layers.same_weight = layers.same_weight + w
-                w = farther * covers(radius, distance, inverse)
-                layers.fill = layers.fill + c * w
-                layers.fill_weight = layers.fill_weight + w
+        layers.before = sums * (INVERSE_PI * fx * fy)
+        layers.hidden = hidden
         return layers
 
     return behind, before

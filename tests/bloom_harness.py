@@ -70,7 +70,16 @@ class Blooming:
     """The bloom pass over float32 images of any sizes, one a view; `run` does what a frame does."""
 
     def __init__(
-        self, images, *changes, shares=1.0, exposures=0.0, device="cpu", threads=1, bright=1, half=False
+        self,
+        images,
+        *changes,
+        shares=1.0,
+        exposures=0.0,
+        device="cpu",
+        threads=1,
+        bright=1,
+        half=False,
+        together=None,
     ) -> None:
         images = [np.asarray(image, np.float32) for image in images]
         self.sizes = tuple(ViewSize(image.shape[1], image.shape[0]) for image in images)
@@ -78,6 +87,7 @@ class Blooming:
         self.layout = ViewLayout(self.sizes, 16)
         self.stage = BloomPass().bound(self.request, self.layout)
         self.stage.source = "radiance" if half else "color"
+        self.stage.together = together
         program = Program(wp.get_device(device), threads)
         scene = SimpleNamespace(device=wp.get_device(device))
         self.resources = Resources.make(scene, None, self.layout, program)

@@ -156,7 +156,8 @@ class ShadowSettings(Record):
     cull: Literal["none", "back", "front"] = "none"
     """Faces that cast no shadow; none: either side of a surface stops light, back: faster where meshes are closed."""
     keep_maps: bool = True
-    """Whether a map stays from frame to frame while neither its view nor a caster in it moves; no pixel differs."""
+    """Whether a map stays from frame to frame while neither its view nor a caster in it moves; no pixel differs. From
+    sample to sample of one frame it stays in any case."""
     samples: int = Field(256, ge=1, le=4096)
     """Rays a pixel and light of the rung ray_traced; the standard error is 0.5 / sqrt(samples) at most."""
 
@@ -207,14 +208,15 @@ class DepthOfFieldSettings(Record):
 
     Error against `lens_samples`, as the root mean square difference of x / (1 + x) over a picture of circles of at most
     16 pixels radius: `gather` at most 0.025 and at most half of what `off` makes, `plane_lerp` at most 0.05 and less
-    than `off`. (0.02 and 0.04 were stated first; the built-in scene `focus` came to 0.016 and 0.042 at 320 x 180, 0.021
-    and 0.024 at 960 x 540, where `off` has 0.051 and 0.060.) A picture taken with anti-aliasing comes nearer.
+    than `off`. (0.02 and 0.04 were stated first; the built-in scene `focus` came to 0.020 and 0.042 at 320 x 180, 0.019
+    and 0.023 at 960 x 540, where `off` has 0.051 and 0.057.) A picture taken with anti-aliasing comes nearer.
     """
 
     rung: Literal["off", "plane_lerp", "gather", "lens_samples"] = "gather"
     """plane_lerp: mix with an equally blurred copy by distance from the plane in focus; gather: circles of confusion,
     what lies before the plane in focus apart from what lies behind it; lens_samples: so many views through points of
-    the lens (reference), which costs so many frames. `gather` costs 1.3 images of memory, which include a copy."""
+    the lens (reference), which costs so many frames. `gather` costs 1.1 images of memory: 3 layers and 1.3 reduced
+    images of a quarter of the pixels."""
     when: Literal["called_for", "always"] = "called_for"
     """always: run although no camera has an aperture; changes no bit then. lens_samples takes no samples then."""
     max_radius_px: float = Field(32.0, ge=1.0, le=64.0)
@@ -222,7 +224,7 @@ class DepthOfFieldSettings(Record):
     it, for the taps of a large circle are taken from reduced images."""
     texels: int = Field(5, ge=2, le=8)
     """Texels from the middle of a circle to its rim, at most, 2 to 8: the least reduced image that allows it is read,
-    (2 n + 1)^2 texels for a circle of n. Of gather."""
+    about 3 n^2 texels for a circle of n. Of gather."""
     blur_radius_px: int = Field(8, ge=1, le=32)
     """Radius of the equal blur [px], 1 to 32; time grows with it. Of plane_lerp."""
     power: float | None = Field(None, ge=0.0, le=1e6)

@@ -12,7 +12,7 @@ import importlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .sampling import lens_samples, pixel_samples, shutter_samples
+from .sampling import lens_samples, pixel_samples, sample_count, shutter_samples
 from .shadow_slots import beyond_capacity
 
 if TYPE_CHECKING:
@@ -95,7 +95,11 @@ def _shadow(request: Request) -> Verdict:
         return Verdict(False, "no lit output asked for")
     left = beyond_capacity(request.features.casters, request.settings.shadow)
     reason = f"{count} light{'s cast' if count > 1 else ' casts'} shadows"
-    return Verdict(True, reason + f"; {left} past the capacity, without" * (left > 0))
+    reason += f"; {left} past the capacity, without" * (left > 0)
+    if request.settings.shadow.rung != "ray_traced" and sample_count(request) > 1:
+        moving = shutter_samples(request) > 1
+        reason += "; samples draw anew what the shutter moves" if moving else "; samples share the maps"
+    return Verdict(True, reason)
 
 
 def _depth_of_field(request: Request) -> Verdict:

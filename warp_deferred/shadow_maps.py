@@ -16,6 +16,7 @@ from .kernels import structs
 from .passes.base import Request
 from .program import FIRST
 from .resources import Resources
+from .sampling import sample_count
 
 __all__ = [
     "BORDERS", "clear_maps", "keeps_maps", "light_tangent", "make_shadows", "shadow_arguments", "shadow_channels",
@@ -73,8 +74,9 @@ def light_tangent(request: Request) -> float:
 
 
 def keeps_maps(request: Request) -> bool:
-    """Whether maps stay from frame to frame; the passes before shading then leave them alone."""
-    return request.shadow_slots > 0 and request.candidates > 0 and request.settings.shadow.keep_maps
+    """Whether maps stay from frame to frame, or from sample to sample; the passes before shading leave them alone."""
+    keeps = request.settings.shadow.keep_maps or sample_count(request) > 1
+    return request.shadow_slots > 0 and request.candidates > 0 and keeps
 
 
 def clear_maps(resources: Resources, request: Request) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
-from warp_deferred.kernels import depth_of_field as kernels
+from warp_deferred.kernels import depth_of_field_pack as pack
 from warp_deferred.kernels import lens, lens_layers
 from warp_deferred.kernels.structs import View
 
@@ -20,7 +20,7 @@ def circle_kernel(
     views: wp.array[View], depth: wp.array[wp.float32], limit: wp.float32, out_radius: wp.array[wp.float32]
 ):
     i = wp.tid()
-    out_radius[i] = lens.circle_of_confusion(views[0], depth[i], limit)
+    out_radius[i] = lens.circle_of_confusion(lens.lens_terms(views[0]), depth[i], limit)
 
 
 @wp.kernel
@@ -132,8 +132,84 @@ def test_reduced_texels_hold_one_side_and_no_sharp_colour(device):
     assert np.array_equal(out.numpy(), np.float32([e for _, e in cases]))
 
 
-def test_levels_lie_one_after_the_other():
-    assert kernels.REDUCED_TEXELS == 64 + 16 + 4 and lens_layers.TILE_TEXELS == 256 + 64 + 16 + 4
+@wp.kernel
+def rows_kernel(views: wp.array[View], tiles: wp.int32, out_rows: wp.array[lens_layers.Rows]):
+    i = wp.tid()
+    out_rows[i] = lens_layers.rows_of(views[0], tiles, i + 1)
+
+
+def test_levels_lie_one_after_the_other(device):
+    views, row = views_of(wd.Camera(), device)
+    tiles, out = 70, wp.zeros(3, dtype=lens_layers.Rows, device=device)
+    wp.launch(rows_kernel, 3, inputs=[views, tiles], outputs=[out], device=device)
+    assert (row["bins_x"], row["bin_offset"]) == (10, 0)
+    found = [tuple(rows) for rows in out.numpy()]
+    assert found == [(0, 80, 79, 44), (tiles * 64, 40, 39, 22), (tiles * 80, 20, 19, 11)]
+    assert lens_layers.LEVEL_TEXELS == 64 + 16 + 4 and lens_layers.LAYER_TEXELS == 64
+
+
+def tiles_of(device):
+    """Rows (view, x, y, 0) of the 16 x 16 tiles of a view of SIZE, as the renderer makes them."""
+    y, x = np.mgrid[0 : SIZE[1] : 16, 0 : SIZE[0] : 16]
+    return wp.array(np.stack([0 * x, x, y, 0 * x], axis=-1).reshape(-1, 4), dtype=wp.vec4i, device=device)
+
+
+@pytest.mark.parametrize("limit", [1.0, 32.0, 64.0])
+def test_two_passes_dilate_like_a_square(limit, device, rng):
+    views, tiles = views_of(wd.Camera(), device)[0], tiles_of(device)
+    high, wide = 6, 10
+    largest = np.float32(rng.uniform(0.0, limit, (high, wide)) * (rng.random((high, wide)) < 0.3))
+    halves = np.stack([largest, largest * 0.5], axis=-1)
+    rng.permuted(halves, axis=-1, out=halves)
+    rows, reach = (wp.zeros(high * wide, dtype=wp.float32, device=device) for _ in range(2))
+    nearest = wp.array(halves.ravel(), dtype=wp.float32, device=device)
+    wp.launch(pack.near_rows_kernel, high * wide, [views, tiles, nearest, limit, 0], [rows], device=device)
+    wp.launch(pack.near_columns_kernel, high * wide, [views, tiles, rows, limit, 0], [reach], device=device)
+    y, x = np.mgrid[0:high, 0:wide]
+    expected = np.zeros((high, wide), np.float32)
+    for j, i in np.ndindex(high, wide):
+        gap = 16.0 * np.maximum(np.maximum(abs(x - i), abs(y - j)) - 2, 0)
+        expected[j, i] = np.max(largest, where=largest > gap, initial=0.0)
+    assert np.array_equal(reach.numpy().reshape(high, wide), expected) and expected.max() > 0.0
+
+
+def test_every_level_is_merged_from_the_one_below(device, rng):
+    """Odd numbers of texels too: 160 x 90 pixels have 80 x 45, 40 x 23 and 20 x 12."""
+    views, tiles = views_of(wd.Camera(aperture=0.3, focus_distance=2.0), device)[0], tiles_of(device)
+    width, height = SIZE
+    color = np.float32(rng.uniform(0.0, 5.0, (height, width, 3)))
+    depth = np.float32(
+        rng.choice([0.5, 1.9, 2.0, 2.2, 9.0, np.inf], (height // 5, width // 5)).repeat(5, 0).repeat(5, 1)
+    )
+    image, taps = pack.Image(), lens_layers.Taps()
+    image.full = wp.array(color.reshape(-1, 3), dtype=wp.vec3, device=device)
+    image.half = wp.zeros(1, dtype=wp.uint64, device=device)
+    taps.half = wp.zeros(1, dtype=wp.uint64, device=device)
+    taps.full = wp.zeros(60 * lens_layers.LEVEL_TEXELS, dtype=wp.vec4, device=device)
+    taps.tiles = 60
+    far, near, nearest = (wp.zeros(60 * n, dtype=wp.float32, device=device) for n in (64, 64, 2))
+    inputs = [views, tiles, image, wp.array(depth.ravel(), dtype=wp.float32, device=device), 20.0, 0]
+    kernel = pack.make_depth_of_field_pack_kernel(False)
+    wp.launch(kernel, 60 * 64, inputs, [taps, far, near, nearest], device=device, block_dim=pack.BLOCK_DIM)
+    radius = circles(wd.Camera(aperture=0.3, focus_distance=2.0), depth.ravel(), 20.0, device).reshape(height, width)
+    below, first, found = np.concatenate([color, radius[..., None]], axis=-1), 0, taps.full.numpy()
+    for level in (1, 2, 3):
+        wide = (width - 1 >> level) + 1
+        high = (height - 1 >> level) + 1
+        pitch = 10 * (16 >> level)
+        texels = found[first : first + 60 * (256 >> 2 * level)].reshape(-1, pitch, 4)[:high, :wide]
+        padded = np.pad(below, ((0, 2 * high - below.shape[0]), (0, 2 * wide - below.shape[1]), (0, 0)), "edge")
+        children = [padded[0::2, 0::2], padded[0::2, 1::2], padded[1::2, 0::2], padded[1::2, 1::2]]
+        given = wp.array(np.stack(children, axis=2).reshape(-1, 4, 4), dtype=wp.vec4, device=device)
+        merged = wp.zeros(high * wide, dtype=wp.vec4, device=device)
+        wp.launch(merge_kernel, high * wide, inputs=[given], outputs=[merged], device=device)
+        assert np.array_equal(merged.numpy().reshape(high, wide, 4), texels)
+        below, first = texels, first + 60 * (256 >> 2 * level)
+    # Largest circles of squares and of tiles' halves.
+    blocks = np.pad(radius, ((0, 6), (0, 0))).reshape(6, 8, 2, 10, 8, 2).transpose(0, 3, 1, 4, 2, 5).reshape(-1, 4)
+    assert np.array_equal(far.numpy(), np.maximum(blocks.max(axis=1), 0.0))
+    assert np.array_equal(near.numpy(), np.maximum(-blocks.min(axis=1), 0.0))
+    assert np.array_equal(nearest.numpy(), near.numpy().reshape(-1, 32).max(axis=1)) and nearest.numpy().max() == 20.0
 
 
 @pytest.mark.parametrize("radius", [1, 8, 32])

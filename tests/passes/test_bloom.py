@@ -14,7 +14,8 @@ from builders import Spy, gallery, grid, images
 
 import warp_deferred as wd
 from warp_deferred.effects import EFFECTS
-from warp_deferred.views import ViewSize
+from warp_deferred.passes.bloom import BloomPass
+from warp_deferred.views import ViewLayout, ViewSize
 
 RUNGS = ("neighbourhood", "mip_chain", "exact")
 SIZES = [(64, 48), (33, 17), (1, 1), (1, 9), (7, 1), (2, 2), (135, 40), (65, 129)]
@@ -136,7 +137,10 @@ def test_m2_a_constant_image_stays(name, fireflies, width, height, device):
         image = np.full((height, width, 3), (c, 0.5 * c, 2.0 * c), np.float32)
         stage = Blooming([image], rung(name), "bloom.threshold=0", f"bloom.fireflies={fireflies}", WIDE, device=device)
         stage.run()
-        count = stage.stage.pyramid.count if name == "mip_chain" else 1
+        count = 1
+        if name == "mip_chain":
+            # `widen_kernel` keeps the widest level nowhere.
+            count = stage.stage.pyramid.count - any(k.key == "widen_kernel" for k, _, _ in stage.stage.steps)
         for index in range(count):
             level = stage.level(index=index)
             np.testing.assert_allclose(level, np.broadcast_to(image[0, 0], level.shape), rtol=1e-6)
@@ -259,6 +263,33 @@ def test_threads_change_no_bit(name):
     image = lamps(130, 70)
     one, three = (Blooming([image], rung(name), threads=n).run() for n in (1, 3))
     assert np.array_equal(one.level(), three.level())
+
+
+@pytest.mark.parametrize("radius", [0.07, 0.5])
+@pytest.mark.parametrize(
+    "sizes", [[(64, 48)], [(33, 17)], [(3, 300), (135, 40), (65, 129)], [(640, 360)], [(641, 363), (97, 61), (1, 1)]]
+)
+def test_levels_made_together_have_the_bits_of_levels_made_one_by_one(sizes, radius, device):
+    """What `narrow_kernel` and `widen_kernel` make against `downsample_kernel` and `upsample_kernel`."""
+    pictures = [noise(w, h, seed) for seed, (w, h) in enumerate(sizes)]
+    # A view that does not scatter makes nothing.
+    shares = np.linspace(0.0 if len(sizes) == 3 else 1.0, 1.0, len(sizes))
+    fields = ("bloom.threshold=0", f"bloom.radius={radius}")
+    alone, together = (
+        Blooming(pictures, *fields, shares=shares, together=t, device=device).run() for t in (False, True)
+    )
+    for v, share in enumerate(shares):
+        assert np.array_equal(alone.level(v), together.level(v), equal_nan=True)
+        assert np.isfinite(together.level(v)).all() == (share > 0.0)
+    if radius == 0.5 and sizes[0] == (64, 48):
+        names = [kernel.key for kernel, _, _ in together.stage.steps]
+        assert names == ["narrow_kernel", "widen_kernel"]
+
+
+def test_a_1080p_frame_takes_seven_launches():
+    request = request_of((ViewSize(1920, 1080),))
+    steps = BloomPass().bound(request, ViewLayout(request.sizes, 16)).pyramid.steps(True)
+    assert [name for name, _ in steps] == ["downsample", "downsample", "narrow", "widen", "upsample", "upsample"]
 
 
 @pytest.mark.gpu

@@ -107,6 +107,73 @@ def test_a_bright_point_becomes_a_disc_of_its_own_light(device):
         assert image[distance > radius + 8.0].max() == 0.0 and image[distance < radius - 6.0].min() > 0.0
 
 
+def wall_and_square(square_depth, wall_depth):
+    """A red square before a blue wall, neither of them lit, and a camera with a wide lens."""
+    scene = wd.Scene()
+    for color, depth, size in (((4.0, 0.0, 0.0), square_depth, 0.5), ((0.0, 0.0, 1.0), wall_depth, 12.0)):
+        glow = wd.Material(model="lambert", base_color=(0.0, 0.0, 0.0, 1.0), emissive=color)
+        scene.add(grid(1, size * depth), transform=tilt(move=(0.0, 0.0, -depth)), material=glow)
+    scene.camera = wd.Camera()
+    return scene
+
+
+def test_a_sharp_silhouette_stays_sharp_before_what_is_blurred(device):
+    scene = wall_and_square(3.0, 30.0)
+    fields = {"outputs": ("color", "depth"), "scene": scene, "width": 96, "height": 72}
+    plain = images(renderer_of(device, "off", **fields).render())
+    square = plain["depth"] < 4.0
+    assert 0.1 < square.mean() < 0.9
+    for aperture in (0.05, 0.4):
+        camera = scene.camera.replace(aperture=aperture, focus_distance=3.0)
+        blurred = images(renderer_of(device, "gather", **fields).render(camera))["color"]
+        # Not a bit of it changes, and nothing of it is seen beside it.
+        assert np.array_equal(bits(blurred[square]), bits(plain["color"][square]))
+        assert np.array_equal(blurred[~square][:, 0], np.zeros((~square).sum()))
+
+
+@pytest.mark.parametrize("radius", [1.2, 2.2, 4.0, 9.0, 20.0])
+def test_what_lies_before_covers_softly(radius, device):
+    """Across a straight edge coverage follows the share of a disc beyond a chord, for circles of all levels."""
+    scene = wall_and_square(3.0, 30.0)
+    fields = {"outputs": ("color", "depth"), "scene": scene, "width": 192, "height": 144}
+    plain = images(renderer_of(device, "off", **fields).render())
+    pixels = scene.camera.pixel_projection(192, 144)[0]
+    camera = scene.camera.replace(aperture=radius / (0.5 * pixels * (1 / 3 - 1 / 30)), focus_distance=30.0)
+    row = images(renderer_of(device, "gather", **fields).render(camera))["color"][72, :, 0] / 4.0
+    edge = np.flatnonzero(plain["depth"][72] < 4.0)[-1] + 1
+    x = np.arange(192) + 0.5 - edge
+
+    def exact(x):
+        t = np.clip(x / radius, -1.0, 1.0)
+        return (np.arccos(t) - t * np.sqrt(1.0 - t * t)) / np.pi
+
+    right = slice(96, None)
+    assert (np.diff(row[right]) <= 1e-6).all()
+    # The edge lies within a pixel of its place.
+    assert (row <= exact(x - 1.0) + 0.1)[right].all() and (row >= exact(x + 1.0) - 0.1)[right].all()
+
+
+def test_a_shift_by_a_pixel_moves_the_picture_and_little_else(device):
+    """Levels and layers are fixed to the view: what that shows is less than the error `gather` may have."""
+    scene = focus.build()
+    fields = {"outputs": ("color", "depth"), "scene": scene, "width": 320, "height": 180, "share_memory": False}
+    renderer = renderer_of(device, "gather", **fields)
+    renderer.render()
+    plan = renderer.plan
+    stage = next(s for s in plan.passes if s.name == "depth_of_field")
+    channels, program = plan.resources.channels, plan.resources.program
+    given = [channels[name].numpy().reshape(180, 320, -1).copy() for name in (stage.source, "depth")]
+    seen = []
+    for shift in ((0, 0), (0, 1), (1, 0), (3, 5)):
+        for name, image in zip((stage.source, "depth"), given, strict=True):
+            channels[name].assign(np.roll(image, shift, (0, 1)).reshape(channels[name].numpy().shape))
+        program.run_section(next(s for s in program.sections if s.name == "depth_of_field"))
+        color = channels["color"].numpy().reshape(180, 320, 3)
+        seen.append(tone(np.roll(color, (-shift[0], -shift[1]), (0, 1)))[40:-40, 40:-40])
+    for other in seen[1:]:
+        assert np.sqrt(np.square(other - seen[0]).mean()) < 0.025
+
+
 # ---- against the reference
 
 

@@ -6,7 +6,9 @@ import numpy as np
 import warp as wp
 
 from ..kernels import depth_of_field as kernels
-from ..kernels.lens_layers import REDUCED_TEXELS, TILE_TEXELS
+from ..kernels.depth_of_field_pack import make_depth_of_field_pack_kernel, near_columns_kernel, near_rows_kernel
+from ..kernels.depth_of_field_plane import make_depth_of_field_plane_kernels
+from ..kernels.lens_layers import LAYER_TEXELS, LAYERS, LEVEL_TEXELS
 from ..program import FIRST
 from ..resources import Resources
 from ..views import ViewLayout
@@ -54,37 +56,48 @@ class DepthOfFieldPass(Pass):
         return ("depth",) if self.image else ()
 
     def writes(self) -> dict[str, Buffer]:
-        """Reduced images and reach of circles, or the image blurred along one axis."""
+        """Reduced images, layers and reach of circles, or the image blurred along one axis."""
         if not self.image:
             return {}
         full = float_image(self.request)
         if not self.gathers:
             return {"lens_rows": Buffer(wp.vec3 if full else wp.uint64, max(self.layout.pixels, 1))}
-        tiles = max(self.layout.shown_bins, 1)
+        tiles, texel = max(self.layout.shown_bins, 1), wp.vec4 if full else wp.uint64
         return {
-            "lens_taps": Buffer(wp.vec4 if full else wp.uint64, tiles * TILE_TEXELS),
-            "lens_near": Buffer(wp.float32, tiles * REDUCED_TEXELS),
+            "lens_taps": Buffer(texel, tiles * LEVEL_TEXELS),
+            "lens_layers": Buffer(texel, tiles * LAYERS * LAYER_TEXELS),
+            "lens_far": Buffer(wp.float32, tiles * LAYER_TEXELS),
+            "lens_near": Buffer(wp.float32, tiles * LAYER_TEXELS),
+            "lens_nearest": Buffer(wp.float32, tiles * 2),
+            "lens_near_rows": Buffer(wp.float32, tiles),
             "lens_reach": Buffer(wp.float32, tiles),
         }
 
     def prepare(self, resources: Resources) -> None:
         """Fetch the kernels, build the structs."""
         settings, full = self.request.settings.depth_of_field, float_image(self.request)
-        self.kernels = kernels.make_depth_of_field_kernels(self.rung(), not full)
         self.seen = make_image(resources, self.request, self.source)
         self.shown = make_image(resources, self.request, self.target)
         device = resources.device
         if not self.gathers:
+            self.kernels = make_depth_of_field_plane_kernels(not full)
             self.rows = make_image(resources, self.request, "lens_rows")
             self.weights = wp.array(blur_weights(settings.blur_radius_px), dtype=wp.float32, device=device)
             return
-        self.taps = kernels.Taps()
-        self.taps.half = resources.channel("" if full else "lens_taps", wp.uint64)
-        self.taps.full = resources.channel("lens_taps" if full else "", wp.vec4)
-        self.taps.tiles = self.layout.shown_bins
+        dilate = (near_rows_kernel, near_columns_kernel)
+        self.kernels = (make_depth_of_field_pack_kernel(not full), *dilate)
+        self.kernels += kernels.make_depth_of_field_kernels(not full)
+        self.taps, self.layers = (self._texels(resources, name) for name in ("lens_taps", "lens_layers"))
+
+    def _texels(self, resources: Resources, name: str) -> kernels.Taps:
+        texels, full = kernels.Taps(), float_image(self.request)
+        texels.half = resources.channel("" if full else name, wp.uint64)
+        texels.full = resources.channel(name if full else "", wp.vec4)
+        texels.tiles = self.layout.shown_bins
+        return texels
 
     def run(self, resources: Resources) -> None:
-        """Reduce, dilate, gather; or blur along both axes."""
+        """Reduce, dilate, gather, lay over; or blur along both axes."""
         if self.gathers:
             self._run_gather(resources)
         else:
@@ -97,16 +110,18 @@ class DepthOfFieldPass(Pass):
 
     def _run_gather(self, resources: Resources) -> None:
         channels, views = resources.channels, resources.frame.views
-        depth, near, reach = channels["depth"], channels["lens_near"], channels["lens_reach"]
-        settings, tiles = self.request.settings.depth_of_field, self.layout.shown_bins
+        depth, reach = channels["depth"], channels["lens_reach"]
+        far, near, nearest = (channels[name] for name in ("lens_far", "lens_near", "lens_nearest"))
+        rows, tiles = channels["lens_near_rows"], self.layout.shown_bins
+        settings, grid = self.request.settings.depth_of_field, [views, resources.bin_tiles]
         limit = settings.max_radius_px
-        grid = [views, resources.bin_tiles]
-        self._launch(resources, 0, tiles * 64, [*grid, self.seen, depth, limit], [self.taps, near])
-        for level in (2, 3):
-            self._launch(resources, 1, tiles * (256 >> 2 * level), [*grid, level], [self.taps, near])
-        self._launch(resources, 2, tiles, [*grid, near, limit], [reach])
-        inputs = [views, resources.blocks, self.seen, depth, self.taps, reach, limit, settings.texels]
-        self._launch(resources, 3, len(self.layout.blocks) * 64, inputs, [self.shown])
+        self._launch(resources, 0, tiles * 64, [*grid, self.seen, depth, limit], [self.taps, far, near, nearest])
+        self._launch(resources, 1, tiles, [*grid, nearest, limit], [rows])
+        self._launch(resources, 2, tiles, [*grid, rows, limit], [reach])
+        inputs = [*grid, self.taps, far, near, reach, settings.texels]
+        self._launch(resources, 3, tiles * 64, inputs, [self.layers])
+        inputs = [views, resources.blocks, self.seen, depth, self.layers, reach, limit]
+        self._launch(resources, 4, len(self.layout.blocks) * 64, inputs, [self.shown])
 
     def _run_plane(self, resources: Resources) -> None:
         channels, frame = resources.channels, resources.frame
