@@ -123,7 +123,7 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
 
     def bytes_moved(self) -> int:
-        """Depth and normals in, visibility out; the pyramid; words twice each way, at half size three times, and depth."""
+        """Depth and normals in, visibility out; the pyramid; words twice each way, half size thrice, depth again."""
         if self.rung() == "ray_traced":
             return self.layout.pixels * 12
         words = 24 * 0.25 + 4 if self.half else 8 + 8
