@@ -78,9 +78,7 @@ def low_pass_share(difference: wp.int32, contrast: wp.int32):
 @wp.func
 def pair_luma(picture: wp.array[wp.uint32], i: wp.int32, partner: wp.int32):
     """Sum of luma of a pixel and its partner across the edge."""
-    return add_weighed(
-        load_word(picture, i), LUMA_WEIGHTS, weigh_bytes(load_word(picture, i + partner), LUMA_WEIGHTS)
-    )
+    return add_weighed(load_word(picture, i), LUMA_WEIGHTS, weigh_bytes(load_word(picture, i + partner), LUMA_WEIGHTS))
 
 
 @wp.func

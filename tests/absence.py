@@ -32,10 +32,7 @@ GROUPS = {
     "scale": ("scale",),
 }
 #: Files of kernels that belong to an effect without bearing its name.
-MORE_KERNELS = {
-    "depth_of_field": ("lens", "lens_layers"),
-    "ambient_visibility": ("visibility_upsampling", "world_mesh"),
-}
+MORE_KERNELS = {"depth_of_field": ("lens", "lens_layers"), "ambient_visibility": ("visibility_upsampling",)}
 
 
 #: What has to be absent, too: what reads the motion, and what has rungs of many samples in its file.

@@ -95,24 +95,31 @@ def mixed_scene():
     return scene
 
 
-def edge_scene():
-    """Return a floor under the straight edge of a plate, x = 0, 0.4 m above it, lit from straight above."""
+def edge_scene(turn_deg=0.0):
+    """Return a floor under the straight edge of a plate, 0.4 m above it, lit from straight above.
+
+    The edge is at x = 0, turned by an angle about the vertical through the origin.
+    """
     scene = wd.Scene()
     scene.add(grid(1, 4.0), transform=tilt(-90.0), material=CLAY)
-    scene.add(grid(1, 3.0), transform=tilt(-90.0, move=(-1.5, 0.4, 0.0)), material=CLAY)
+    a = np.radians(turn_deg)
+    place = (-1.5 * np.cos(a), 0.4, 1.5 * np.sin(a))
+    scene.add(grid(1, 3.0), transform=tilt(-90.0, turn_deg, move=place), material=CLAY)
     scene.lights.add(wd.DirectionalLight(direction=(0.0, -1.0, 0.0), intensity=2.0, casts_shadow=True))
     scene.camera = wd.Camera.look_at((0.9, 0.35, 0.0), (-0.05, 0.0, 0.0), vertical_fov_deg=30.0)
     return scene
 
 
-def edge_errors(rung, angle_deg, device, *values):
+def edge_errors(rung, angle_deg, device, *values, turn_deg=0.0):
     """Difference from the closed form, and the distance from the edge in units of the half penumbra."""
     values = (f"shadow.directional_angle_deg={angle_deg}", "shadow.cascades=1", "shadow.distance_m=2.0", *values)
-    factor, whole = share(edge_scene(), rung, device, *values, size=(144, 108))
+    factor, whole = share(edge_scene(turn_deg), rung, device, *values, size=(144, 108))
     # What the one map holds.
     floor = (np.abs(whole["position"][..., 1]) < 1e-3) & (whole["diffuse"][..., 1] > 0.0)
     floor &= np.abs(whole["position"][..., 0]) < 0.6
-    place = whole["position"][..., 0][floor] / (0.4 * np.tan(np.radians(angle_deg)))
+    a = np.radians(turn_deg)
+    across = whole["position"][..., 0] * np.cos(a) - whole["position"][..., 2] * np.sin(a)
+    place = across[floor] / (0.4 * np.tan(np.radians(angle_deg)))
     d = np.clip(place, -1.0, 1.0)
     seen = 0.5 + (d * np.sqrt(1.0 - d * d) + np.arcsin(d)) / np.pi
     return factor[floor] - seen, place

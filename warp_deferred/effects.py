@@ -102,6 +102,19 @@ def _shadow(request: Request) -> Verdict:
     return Verdict(True, reason)
 
 
+def _ray_scene(request: Request) -> Verdict:
+    tracing = [
+        f"{name}.rung is ray_traced"
+        for name in ("shadow", "ambient_visibility")
+        if getattr(request.settings, name).rung == "ray_traced" and called_for(request, name)
+    ]
+    return Verdict(bool(tracing), " and ".join(tracing) or "nothing traces rays")
+
+
+def _ray_instances(request: Request) -> Verdict:
+    return Verdict(_ray_scene(request).runs and shutter_samples(request) > 1, "the shutter moves instances")
+
+
 def _depth_of_field(request: Request) -> Verdict:
     if not request.lens.aperture:
         return Verdict(False, "no camera has an aperture")
@@ -176,6 +189,8 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("ambient_visibility", "resolve", _ambient_visibility),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
+    Effect("ray_scene", "", _ray_scene, quiet=True),
+    Effect("ray_instances", "", _ray_instances, "ray_scene", quiet=True),
     Effect("shadow", "", _shadow),
     Effect("shutter_samples", "begin_sample", _shutter_samples, "motion_blur", quiet=True),
     Effect("lens_samples", "begin_sample", _lens_samples, "depth_of_field", quiet=True),

@@ -198,22 +198,39 @@ def test_an_orthographic_camera_sees_the_same_shadow(rung, device):
     assert (floor & (miss < -0.25)).sum() > 50
 
 
-@pytest.mark.parametrize("angle_deg", [5.0, 10.0])
+@pytest.mark.parametrize("angle_deg", [1.0, 2.0, 5.0, 10.0])
 def test_rungs_keep_their_bounds_against_the_closed_form(angle_deg, device):
     """The bounds are those that `ShadowSettings.rung` states."""
+    assert wd.Settings().shadow.samples == 256
     rays, place = edge_errors("ray_traced", angle_deg, device, "shadow.samples=256")
     inside = np.abs(place) < 1.0
-    assert inside.sum() > 300 and (place < -2.0).sum() > 50 and (place > 2.0).sum() > 500
+    # Half the penumbra [m]; the one map's texels are 8 mm, so 4 of them are 0.9 of it at 5 degrees.
+    half = 0.4 * np.tan(np.radians(angle_deg))
+    limit = max(2.0, 0.04 / half)
+    assert inside.sum() > 100 and (place < -limit).sum() > 50 and (place > limit).sum() > 500
     assert not rays[np.abs(place) > 1.02].any()
     best = np.inf
     for rung in MAPS:
         error, place = edge_errors(rung, angle_deg, device)
-        # The one map's texels are 8 mm: 4 of them are 0.9 of the narrower half penumbra.
-        assert not error[np.abs(place) > 2.0].any(), rung
+        assert not error[np.abs(place) > limit].any(), rung
         best = min(best, np.sqrt(np.mean(error[inside] ** 2)))
         if rung == "pcss":
             assert np.mean(np.abs(error[inside])) <= 0.1
-    assert np.sqrt(np.mean(rays[inside] ** 2)) <= min(0.25 * best, 0.5 / 16.0)
+    assert np.sqrt(np.mean(rays[inside] ** 2)) <= min(0.25 * best, 0.001)
+    for samples, bound in ((64, 0.003), (16, 0.01)):
+        error, _ = edge_errors("ray_traced", angle_deg, device, f"shadow.samples={samples}")
+        assert np.sqrt(np.mean(error[inside] ** 2)) <= bound, samples
+
+
+def test_rays_tell_an_edge_of_any_direction(device):
+    """Bounds from float64: 0.0006 over all directions, 0.0027 along the lattice itself, at 31.7 degrees."""
+    squares = []
+    for turn_deg in (0.0, 17.0, 31.7, 45.0, 58.3, 80.0):
+        errors, place = edge_errors("ray_traced", 10.0, device, "shadow.samples=256", turn_deg=turn_deg)
+        inside = np.abs(place) < 1.0
+        assert inside.sum() > 500 and not errors[np.abs(place) > 1.02].any()
+        squares.append(np.mean(errors[inside] ** 2))
+    assert np.sqrt(np.max(squares)) <= 0.003 and np.sqrt(np.mean(squares)) <= 0.0015, np.sqrt(squares)
 
 
 @pytest.mark.parametrize("rung", RUNGS)

@@ -108,8 +108,6 @@ class ShadowPass(Pass):
     def run(self, resources: Resources) -> None:
         """The scene's box where a cascade needs it, then the views."""
         program, count = resources.program, self.request.shadow_slots
-        if self.request.settings.shadow.rung == "ray_traced":
-            self._place_instances(resources)
         if not count:
             return
         if self.cascaded:
@@ -164,21 +162,6 @@ class ShadowPass(Pass):
             [self.states, views, self.before, self.moved],
             block_dim=block,
         )
-
-    def _place_instances(self, resources: Resources) -> None:
-        from ..kernels import shadow_rays
-
-        scene, rays = resources.scene, resources.scene.rays()
-        resources.program.launch(
-            shadow_rays.place_instances_kernel,
-            scene.instance_count,
-            [scene.geometry],
-            [rays.low, rays.high, rays.inverses],
-            block_dim=shadow_rays.BLOCK_DIM,
-        )
-        for mesh in rays.bound:
-            mesh.update(resources)
-        resources.program.call(rays.tree.refit)
 
     def bytes_moved(self) -> int:
         """Views in and out, rows out."""
