@@ -18,7 +18,7 @@ import numpy as np
 from warp_deferred import Camera, DirectionalLight, Environment, Pass, Scene, Settings, effect_settings, load
 
 from .cases import FrameCase
-from .fog import Fog
+from .fog import make_fog
 
 __all__ = [
     "EFFECT_CASES", "QUICK_SIZE", "CompositeCase", "EffectCase", "case_size", "composite_cases", "ladders",
@@ -164,7 +164,12 @@ EFFECT_CASES: dict[str, EffectCase] = {
             "ray_traced",
             free=lambda scene: _cast(scene, False),
             settings=("shadow.keep_maps=false",),
-            small_settings=("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128"),
+            small_settings=(
+                "shadow.directional_size=256",
+                "shadow.spot_size=256",
+                "shadow.point_size=128",
+                "shadow.samples=16",
+            ),
             size=(720, 405),
             centre=(0.55, 0.55),
             zoom=2,
@@ -210,7 +215,7 @@ EFFECT_CASES: dict[str, EffectCase] = {
         ),
         EffectCase("blur", "glow", free_settings=("blur.sigma_px=0",)),
         EffectCase("tone_mapping", "glow", effect="display", field="tone_mapping", centre=(0.5, 0.42), zoom=2),
-        EffectCase("custom_pass", _HALL, small=_HILLS, passes=lambda: [Fog(color=(0.5, 0.6, 0.7), density=0.05)]),
+        EffectCase("custom_pass", _HALL, small=_HILLS, passes=lambda: [make_fog()]),
     )
 }
 

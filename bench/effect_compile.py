@@ -28,7 +28,7 @@ __all__ = ["compile_all", "compile_times"]
 
 #: Kernels do not depend on the size of the picture.
 SIZE = QUICK_SIZE
-LIMIT_S = 1200
+LIMIT_S = 300
 
 
 def compile_all(

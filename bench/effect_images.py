@@ -67,6 +67,7 @@ def run(device: wp.Device, out: Path, *, quick: bool, settings: Settings, note: 
         if only not in ("", name) or not case.draws:
             continue
         size = (case.size[0] // 4, case.size[1] // 4) if quick else case.size
+        case = case.quick() if quick else case
         pictures = _pictures(case, size, case.rungs(), device, settings, note)
         if len(pictures) > 1:
             paths.append(_write(strip_path(out, name), case, pictures))

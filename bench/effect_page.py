@@ -31,7 +31,7 @@ from .effect_texts import TEXTS, TITLES
 from .layout import milliseconds
 from .record import Record
 
-__all__ = ["effects_page"]
+__all__ = ["effects_page", "overview"]
 
 INTRODUCTION = """# Effects
 
@@ -78,10 +78,8 @@ def _place(effect: Effect) -> str:
 
 def _record(record: Record, suffix: str, images: Path, shown: set[str]) -> list[str]:
     """Sections of one result; of several, texts and strips stand with the first only."""
-    names = case_names(record)
-    lines = "\n".join(_line(record, n) for n in names)
-    parts = [f"| what | rung: the frame without, then what each adds, and its RMSE |\n| --- | --- |\n{lines}"]
-    for name in names:
+    parts = [overview(record)]
+    for name in case_names(record):
         parts.append(f"## {TITLES.get(name, name)}{suffix}")
         if name not in shown:
             parts += _about(name, images)
@@ -93,12 +91,17 @@ def _record(record: Record, suffix: str, images: Path, shown: set[str]) -> list[
     parts += [f"## The tables{suffix}", LEGEND, STATED, f"## Not called for{suffix}", free_table(record), COUNTS]
     frames = [row for row in record["rows"] if row["kind"] == "frame"]
     if frames:
-        parts += [f"## Whole frames{suffix}", tables.frames_table(record | {"rows": frames})]
+        parts += [f"## Whole frames{suffix}", tables.full_table(record | {"bench": "frame", "rows": frames})]
     return [*(part for part in (*parts, skipped_list(record)) if part), f"Measured on {tables.provenance(record)}."]
 
 
-def _line(record: Record, name: str) -> str:
-    """Line of the overview: rungs with cost and error."""
+def overview(record: Record, page: str = "") -> str:
+    """One line a case: what its rungs cost and how far they are from the reference; links lead to a page."""
+    lines = "\n".join(_line(record, name, page) for name in case_names(record))
+    return f"| what | rung: the frame without, then what each adds, and its RMSE |\n| --- | --- |\n{lines}"
+
+
+def _line(record: Record, name: str, page: str) -> str:
     title = TITLES.get(name, name)
     anchor = "".join(c for c in title.lower().replace(" ", "-") if c.isalnum() or c in "-_")
     first, *rows = rungs_of(record, name)
@@ -106,7 +109,7 @@ def _line(record: Record, name: str) -> str:
     for row in rows:
         sign = "+" if row["cost.difference_ms"] >= 0.0 else ""
         cells.append(f"`{row['rung']}` {sign}{milliseconds(row['cost.difference_ms'])} ms{_error(row)}")
-    return f"| [{title}](#{anchor}) | {'<br>'.join(cells)} |"
+    return f"| [{title}]({page}#{anchor}) | {'<br>'.join(cells)} |"
 
 
 def _error(row: dict[str, Any]) -> str:

@@ -87,10 +87,12 @@ def run(
     compiled = {} if quick else compile_all(cases, str(device), settings, note, skip)
     for case in cases:
         size = case_size(device.is_cuda, quick)
-        add(case.name, lambda case=case, size=size: _case(case, size, device, settings, bandwidth, repeats, note, skip))
-        for row in result["rows"]:
-            if row["kind"] == "rung" and row["case"] == case.name:
-                row |= compiled.get((case.name, row["rung"]), {})
+
+        def measure(case: EffectCase = case, size: tuple[int, int] = size) -> list[Row]:
+            rows = _case(case, size, device, settings, bandwidth, repeats, note, skip)
+            return [row | compiled.get((case.name, row.get("rung", "")), {}) for row in rows]
+
+        add(case.name, measure)
     for frame in composite_cases(device.is_cuda, quick=quick) if not only else ():
         add(frame.name, lambda frame=frame: _frame(frame, device, settings, bandwidth, repeats, note, skip))
     return result
@@ -153,7 +155,8 @@ def _case(
             continue
         note(f"{case.name}, {text}")
         try:
-            rows.append({"kind": "free", **shared} | measure(case, size, device, tried, repeats))
+            row = measure(case, size, device, tried, repeats)
+            rows.append({"kind": "free", **shared, "rung": case.default(settings), **row})
         except Exception as error:
             skip(f"{case.name}, {text}: {reason(error)}")
     return rows

@@ -1,40 +1,29 @@
-"""The pass of docs/custom-pass.md, word for word, for the bench `effects`; a test compares the two."""
+"""The pass of docs/custom-pass.md for the bench `effects`: what is timed is what the page prints."""
 
-import warp as wp
+from __future__ import annotations
 
-import warp_deferred as wd
+import functools
+from typing import Any
 
-__all__ = ["Fog"]
+from .record import ROOT
 
+__all__ = ["PAGE", "make_fog"]
 
-@wp.kernel
-def fog_kernel(
-    image: wp.array[wp.vec3],
-    depth: wp.array[wp.float32],
-    color: wp.vec3,
-    density: wp.float32,
-    out_image: wp.array[wp.vec3],
-):
-    i = wp.tid()
-    clear = wp.exp(-density * depth[i])  # 0 on the background, whose depth is +inf
-    out_image[i] = image[i] * clear + color * (1.0 - clear)
+PAGE = ROOT / "docs" / "custom-pass.md"
 
 
-class Fog(wd.Pass):
-    """Fog of constant density [1/m]."""
+@functools.cache
+def _definitions() -> dict[str, Any]:
+    """Run the page's example up to where it builds its scene."""
+    text = PAGE.read_text(encoding="utf-8")
+    before, _, rest = text.partition("```python\n")
+    code = rest.partition("```")[0].partition("\nscene = ")[0]
+    # Lines keep their numbers and the code its file: Warp reads a kernel's source where the page has it.
+    namespace: dict[str, Any] = {"__name__": __name__}
+    exec(compile("\n" * (before.count("\n") + 1) + code, str(PAGE), "exec"), namespace)
+    return namespace
 
-    name = "fog"
-    doc = "mix in fog by distance"
-    image = "turn"
-    after = "shade"
 
-    def __init__(self, color, density):
-        self.color, self.density = wp.vec3(*color), density
-
-    def reads(self):
-        return ("depth",)
-
-    def run(self, resources):
-        channels = resources.channels
-        inputs = [channels[self.source], channels["depth"], self.color, self.density]
-        resources.program.launch(fog_kernel, self.layout.pixels, inputs, [channels[self.target]], block_dim=64)
+def make_fog() -> Any:
+    """Make the pass as the page does."""
+    return _definitions()["Fog"](color=(0.5, 0.6, 0.7), density=0.05)

@@ -35,6 +35,7 @@ from .intrinsics import (
     block_sync,
     float_bits,
     fma,
+    fnma,
     load_vec4i,
     load_word_or,
     saturated_fma,
@@ -87,10 +88,10 @@ def final_visibility(visibility: wp.float32, power: wp.float32):
 
 @wp.func
 def rough_reciprocal(x: wp.float32):
-    """1 / x within 3e-4 for x from 1e-37 to 1e37, by two Newton steps; x = 0 gives something large."""
+    """1 / x within 3e-4 for x from 1e-37 to 1e37, by two Newton steps; x = 0 gives infinity."""
     y = bits_float(wp.uint32(0x7EF311C7) - float_bits(x))
-    y = y * fma(-x, y, 2.0)
-    return y * fma(-x, y, 2.0)
+    y = y * fnma(x, y, 2.0)
+    return y * fnma(x, y, 2.0)
 
 
 @wp.func
@@ -169,7 +170,9 @@ def make_blur_kernel(half: bool, wide: bool):
         sums = add_neighbour(sums, b1, a - slope, tolerance, 1.0, own)
         sums = add_neighbour(sums, f1, a + slope, tolerance, 1.0, own)
         sums = add_neighbour(sums, f2, a + (slope + slope), tolerance, 0.5, own)
-        return sums[0] * rough_reciprocal(sums[1])
+        change = sums[0] * rough_reciprocal(sums[1])
+        # Depths whose squares leave float32 give a NaN, whose bits differ between devices.
+        return wp.where(wp.abs(change) <= 255.0, change, 0.0)
 
     @wp.func
     def word_at(view: View, words: wp.array[wp.uint32], x: wp.int32, y: wp.int32):

@@ -138,14 +138,14 @@ def tent_ahead(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
 
 @wp.func
 def bilinear(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
-    """A level seen from texel (x, y) of the next finer one, interpolated between 2 x 2 texels."""
+    """A level seen from texel (x, y) of the next finer one, interpolated between 2 x 2 texels, times 16."""
     i, j = x >> 1, y >> 1
     i1 = mirrored(i + 2 * (x & 1) - 1, level.width, level.edge_x)
     j1 = mirrored(j + 2 * (y & 1) - 1, level.height, level.edge_y)
     row, row1 = level.first + j * level.width, level.first + j1 * level.width
     near = word_value(texels, row + i) * 3.0 + word_value(texels, row + i1)
     far = word_value(texels, row1 + i) * 3.0 + word_value(texels, row1 + i1)
-    return (near * 3.0 + far) * (1.0 / 16.0)
+    return near * 3.0 + far
 
 
 @wp.kernel(grid_stride=False)

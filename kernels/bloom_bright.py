@@ -10,7 +10,8 @@ at a time, and has its neighbours' pixels from their lanes. So a pixel is loaded
 Where none of a warp's 128 pixels scatters, which 13 operations a lane tell, their sums are known.
 
 Bytes for P pixels: 8 P read (12 P in float32) once and a third again from the caches, 2 P written.
-Operations a pixel: about 30 where the warp's are dark, 75 more where they are not, a reciprocal among them.
+Instructions a pixel of a strip (PTX): about 30 where the warp's are dark, up to 90 more where they are not, a
+reciprocal among them.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ import functools
 import warp as wp
 
 from .bloom import MOST, half_texel, mirrored, word_value
-from .intrinsics import any_lane, from_lane, load_vec4i, pack_half4, store_double_word, warp_width
+from .intrinsics import load_vec4i, pack_half4, store_double_word
+from .lanes import any_lane, from_lane, warp_width
 from .projection import pixel_block, pixel_index
 from .structs import MODULE_OPTIONS, Bloom, View
 

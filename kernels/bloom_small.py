@@ -7,8 +7,8 @@ than 8 x 8 of the level after: one square a level, however many levels there are
 
 `narrow_kernel` makes two levels, each texel of the finer one four times over: 4 x 36 loads a texel. `widen_kernel`
 mixes all wider levels into one; its block makes its square of the widest level, 64 x 36 loads, and mixes once a level,
-64 x 16 reads of shared memory. At 1080p levels 4 and 5 are 128 x 72 blocks' squares of 8 x 8, not 10 000 texels; levels
-6, 5, 4 and 3 on the way up are 510 blocks' four squares each, 130 000 texels, not 43 000.
+64 x 16 reads of shared memory. At 1080p either has 510 blocks: level 4 is 32 640 texels instead of 8160, and levels 6,
+5, 4 and 3 on the way up are four squares a block, 130 560 texels instead of 43 110.
 The CPU, where a block is one lane, walks the squares' texels one after the other.
 """
 
@@ -17,7 +17,8 @@ from __future__ import annotations
 import warp as wp
 
 from .bloom import half_texel, mirrored, mixed, narrowed, six_sums, tent_ahead, thirteen_taps, word_value
-from .intrinsics import block_sync, load_vec4i, shared_double_words, unpack_half3, warp_width
+from .intrinsics import block_sync, load_vec4i, unpack_half3
+from .lanes import shared_double_words, warp_width
 from .projection import pixel_block
 from .structs import BloomLevel, View
 

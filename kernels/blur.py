@@ -15,9 +15,8 @@ import functools
 import warp as wp
 
 from .image import Image, make_image_codec, store_limit
-from .intrinsics import load_vec4i
-from .projection import pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
+from .projection import pixel_index, pixel_of
+from .structs import MODULE_OPTIONS, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -109,11 +108,9 @@ def make_blur_kernel(kind: str, columns: bool):
         # Out
         out_target: Plane,
     ):
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)

@@ -17,13 +17,12 @@ from .encoding import pack_unorm
 from .image import Image, make_image_codec
 from .interpolation import barycentric, relative_vertex
 from .intrinsics import bits_float, float_bits, load_vec4i
-from .projection import pixel_in_block, pixel_index, pixel_ray, position_of
+from .projection import pixel_index, pixel_of, pixel_ray, position_of
 from .structs import (
     ALL_BITS,
     CLUSTER_SIZE,
     MODULE_OPTIONS,
     ORTHOGRAPHIC,
-    PIXEL_BLOCK_AREA,
     Geometry,
     Instance,
     LightMasks,
@@ -94,18 +93,16 @@ def depth_range_kernel(
     out_ranges: wp.array[wp.uint32],
 ):
     """Nearest and farthest surface of each view; the maximum is taken after a look, and does not depend on order."""
-    thread = wp.tid()
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-    place = pixel_in_block(thread)
-    view = views[block[0]]
-    x, y = block[1] + place[0], block[2] + place[1]
+    pixel = pixel_of(blocks, wp.tid())
+    view = views[pixel[0]]
+    x, y = pixel[1], pixel[2]
     if x >= view.width or y >= view.height:
         return
     d = depth[pixel_index(view, x, y)]
     if not wp.isfinite(d):
         return
     bits = ordered_bits(d)
-    slot = 2 * block[0]
+    slot = 2 * pixel[0]
     if bits > out_ranges[slot]:
         wp.atomic_max(out_ranges, slot, bits)
     if ~bits > out_ranges[slot + 1]:
@@ -356,11 +353,9 @@ def make_debug_view_kernel(kind: str, curve: str, half: bool):
         # Out
         out_display: wp.array[wp.uint32],
     ):
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)
@@ -376,6 +371,6 @@ def make_debug_view_kernel(kind: str, curve: str, half: bool):
         elif wp.static(kind == "shadow_atlas"):
             out_display[i] = pack_encoded(show_shadow_atlas(shown, views, view, x, y))
         else:
-            out_display[i] = pack_encoded(show(shown, view, block[0], x, y, i))
+            out_display[i] = pack_encoded(show(shown, view, pixel[0], x, y, i))
 
     return debug_view_kernel

@@ -49,7 +49,7 @@ from .lens_layers import (
     reach_at,
     rows_of,
 )
-from .projection import pixel_block, pixel_in_block, pixel_index
+from .projection import pixel_block, pixel_in_block, pixel_index, pixel_of
 from .sampling import Sample
 from .structs import MODULE_OPTIONS, View
 
@@ -205,11 +205,9 @@ def make_composite(half: bool):
         out_image: Image,
     ):
         """One thread a pixel: from its own colour over its own layer's to what lies before it."""
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, pixel_block(thread))
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)

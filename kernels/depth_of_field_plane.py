@@ -12,10 +12,9 @@ import functools
 import warp as wp
 
 from .image import Image, make_image_codec, store_limit
-from .intrinsics import load_vec4i
 from .lens import lens_scale
-from .projection import pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
+from .projection import pixel_index, pixel_of
+from .structs import MODULE_OPTIONS, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -45,11 +44,9 @@ def make_depth_of_field_plane_kernels(half: bool):
         out_blurred: Image,
     ):
         """One thread a pixel: blur along x; what lies beyond the edge repeats it."""
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         radius = weights.shape[0] - 1
@@ -76,11 +73,9 @@ def make_depth_of_field_plane_kernels(half: bool):
         out_image: Image,
     ):
         """One thread a pixel: blur along y, then mix by distance from the plane in focus; power < 0: the lens's."""
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)

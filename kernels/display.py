@@ -11,9 +11,9 @@ import functools
 import warp as wp
 
 from .color import CURVES, clamp_radiance, srgb_code, tone_curve
-from .intrinsics import load_vec4i, unpack_half3
-from .projection import pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, View
+from .intrinsics import load_double_word, unpack_half3
+from .projection import pixel_index, pixel_of
+from .structs import MODULE_OPTIONS, Bloom, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -43,7 +43,7 @@ def make_scatter(bloom: str):
             return v
 
         return nothing
-    from .bloom import bilinear
+    from .bloom import MOST, bilinear
     from .bloom_bright import bright_of
 
     @wp.func
@@ -53,11 +53,14 @@ def make_scatter(bloom: str):
             return v
         gained = wp.vec3()
         if wp.static(bloom == "full"):
-            gained = source.full[i]
+            gained = source.full[i] * share
         else:
-            gained = bilinear(source.texels, source.levels[index * source.level_count], place[0], place[1])
+            level = source.levels[index * source.level_count]
+            gained = bilinear(source.texels, level, place[0], place[1]) * (share * (1.0 / 16.0))
         lost = bright_of(value, view.exposure, source)
-        return clamp_radiance((v - lost * share) + gained * share)
+        # All is finite here, so that bounds are two operations and no branch.
+        mixed = (v - lost * share) + gained
+        return wp.max(wp.min(mixed, wp.vec3(MOST)), wp.vec3())
 
     return scatter
 
@@ -88,21 +91,19 @@ def make_display_kernel(curve: str, half: bool, bloom: str):
         # Out
         out_display: wp.array[wp.uint32],
     ):
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)
         value = wp.vec3()
         if wp.static(half):
-            value = unpack_half3(radiance[i])
+            value = unpack_half3(load_double_word(radiance, i))
         else:
             value = color[i]
         v = clamp_radiance(value * view.exposure)
-        mapped = tone(scatter(v, value, view, block[0], wp.vec2i(x, y), i, scattered))
+        mapped = tone(scatter(v, value, view, pixel[0], wp.vec2i(x, y), i, scattered))
         r = srgb_code(mapped[0], thresholds)
         g = srgb_code(mapped[1], thresholds)
         b = srgb_code(mapped[2], thresholds)

@@ -196,7 +196,7 @@ def make_layers(half: bool):
         for j in range(wp.int32(wp.ceil(v - tall)), wp.int32(wp.floor(v + tall)) + 1):
             dy = (wp.float32(j) - v) * fy
             dy2 = dy * dy
-            wide = wp.sqrt(wp.max(rim * rim - dy2, 0.0)) * shape[0]
+            wide = fast_root(wp.max(multiply_add(rim, rim, -dy2), 0.0)) * shape[0]
             row = rows.first + wp.clamp(j, 0, rows.last_y) * rows.pitch
             left = wp.ceil(u - wide)
             dx = (left - u) * fx
@@ -241,7 +241,7 @@ def make_layers(half: bool):
         for j in range(wp.int32(wp.ceil(v - tall)), wp.int32(wp.floor(v + tall)) + 1):
             dy = (wp.float32(j) - v) * fy
             dy2 = dy * dy
-            wide = wp.sqrt(wp.max(rim * rim - dy2, 0.0)) * shape[0]
+            wide = fast_root(wp.max(multiply_add(rim, rim, -dy2), 0.0)) * shape[0]
             row = rows.first + wp.clamp(j, 0, rows.last_y) * rows.pitch
             left = wp.ceil(u - wide)
             dx = (left - u) * fx

@@ -15,12 +15,11 @@ import warp as wp
 from .clusters import instance_of_rank, pair_of_instance, to_single, widen
 from .interpolation import barycentric, mix3, relative_vertex
 from .intrinsics import bits_float, load_vec4, load_vec4i
-from .projection import linear_depth, pixel_in_block, pixel_index, pixel_ray, position_of
+from .projection import linear_depth, pixel_index, pixel_of, pixel_ray, position_of
 from .structs import (
     ALL_BITS,
     CLUSTER_SIZE,
     ORTHOGRAPHIC,
-    PIXEL_BLOCK_AREA,
     Geometry,
     Pair,
     Transform,
@@ -163,18 +162,16 @@ def motion_kernel(
     out_motion: wp.array[wp.vec2],
 ):
     """One thread a pixel."""
-    thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-    place = pixel_in_block(thread)
-    view = views[block[0]]
-    x, y = block[1] + place[0], block[2] + place[1]
+    pixel = pixel_of(blocks, wp.tid() + first)
+    view = views[pixel[0]]
+    x, y = pixel[1], pixel[2]
     if x >= view.width or y >= view.height:
         return
     i = pixel_index(view, x, y)
     motion = wp.vec2(0.0, 0.0)
     if known[0] != 0:
         key = keys[i]
-        index = steps.shape[0] - views.shape[0] + block[0]
+        index = steps.shape[0] - views.shape[0] + pixel[0]
         distance = wp.float32(1.0)
         if key != wp.uint64(0):
             identity = ALL_BITS - wp.uint32(key)
@@ -182,7 +179,7 @@ def motion_kernel(
             distance = linear_depth(view, bits_float(wp.uint32(key >> wp.uint64(32))))
         if key != wp.uint64(0) or view.projection != ORTHOGRAPHIC:
             px, py = wp.float32(x) + 0.5, wp.float32(y) + 0.5
-            motion = motion_of(view, old_views[block[0]], steps[index], px, py, distance, wp.vec3())
+            motion = motion_of(view, old_views[pixel[0]], steps[index], px, py, distance, wp.vec3())
     out_motion[i] = motion
 
 
@@ -211,11 +208,9 @@ def point_motion_kernel(
     out_motion: wp.array[wp.vec2],
 ):
     """One thread a pixel: motion anew where the points of its mesh moved."""
-    thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-    place = pixel_in_block(thread)
-    view = views[block[0]]
-    x, y = block[1] + place[0], block[2] + place[1]
+    pixel = pixel_of(blocks, wp.tid() + first)
+    view = views[pixel[0]]
+    x, y = pixel[1], pixel[2]
     if x >= view.width or y >= view.height or past.known[0] == 0:
         return
     i = pixel_index(view, x, y)
@@ -245,7 +240,7 @@ def point_motion_kernel(
         old_point(past, v[2] + offset) - c,
     )
     if wp.isfinite(moved) and wp.length_sq(moved) > 0.0:
-        before = past.views[block[0]]
+        before = past.views[pixel[0]]
         more = before.rotation * (past.transforms[slot].linear * moved)
         distance = linear_depth(view, bits_float(wp.uint32(key >> wp.uint64(32))))
         out_motion[i] = motion_of(view, before, steps[index], px, py, distance, more)

@@ -20,9 +20,9 @@ import warp as wp
 
 from .image import Image, make_image_codec, store_limit
 from .intrinsics import load_vec4i
-from .projection import pixel_in_block, pixel_index
+from .projection import pixel_index, pixel_of
 from .sampling import Sample
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Transform, View
+from .structs import MODULE_OPTIONS, Transform, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -172,11 +172,9 @@ def make_motion_blur_kernel(half: bool):
         # Out
         out_image: Image,
     ):
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intrinsics import load_vec4
+from .intrinsics import load_vec4, load_vec4i
 from .structs import (
     ORTHOGRAPHIC,
     PIXEL_BLOCK,
@@ -33,6 +33,14 @@ def pixel_in_block(thread: wp.int32):
 def pixel_block(thread: wp.int32):
     """Row of a thread, >= 0, in the table of its blocks of pixels."""
     return wp.int32(wp.uint32(thread) // wp.uint32(PIXEL_BLOCK_AREA))
+
+
+@wp.func
+def pixel_of(blocks: wp.array[wp.vec4i], thread: wp.int32):
+    """(view, x, y) of a thread, by the table of its blocks of pixels; outside the view where a block hangs over."""
+    block = load_vec4i(blocks, pixel_block(thread))
+    place = pixel_in_block(thread)
+    return wp.vec3i(block[0], block[1] + place[0], block[2] + place[1])
 
 
 @wp.func

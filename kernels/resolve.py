@@ -14,14 +14,13 @@ from .clusters import pair_of_instance
 from .encoding import FLAG_EMISSIVE, Surface, make_gbuffer_codec
 from .interpolation import Barycentric, barycentric, mix2, mix3, mix4, relative_vertex
 from .intrinsics import bits_float, load_vec4i
-from .projection import linear_depth, normal_of, pixel_in_block, pixel_index, position_of, relative_position
+from .projection import linear_depth, normal_of, pixel_index, pixel_of, position_of, relative_position
 from .structs import (
     ALL_BITS,
     CLUSTER_SIZE,
     FLAG_COLORS,
     FLAG_SMOOTH,
     MODULE_OPTIONS,
-    PIXEL_BLOCK_AREA,
     GBuffer,
     Geometry,
     Instance,
@@ -232,11 +231,9 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         out_gbuffer: GBuffer,
         out_layers: Layers,
     ):
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view = views[block[0]]
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view = views[pixel[0]]
+        x, y = pixel[1], pixel[2]
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)
@@ -300,11 +297,9 @@ def depth_layer_kernel(
     out_depth: wp.array[wp.float32],
 ):
     """Linear view depth [m] straight from the keys, +inf on the background."""
-    thread = wp.tid() + first
-    block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-    place = pixel_in_block(thread)
-    view = views[block[0]]
-    x, y = block[1] + place[0], block[2] + place[1]
+    pixel = pixel_of(blocks, wp.tid() + first)
+    view = views[pixel[0]]
+    x, y = pixel[1], pixel[2]
     if x >= view.width or y >= view.height:
         return
     i = pixel_index(view, x, y)

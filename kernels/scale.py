@@ -22,8 +22,8 @@ import functools
 import warp as wp
 
 from .intrinsics import load_vec4i
-from .projection import pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, View
+from .projection import pixel_index, pixel_of
+from .structs import MODULE_OPTIONS, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -127,11 +127,9 @@ def make_scale_kernel(name: str):
         # Out
         out_display: wp.array[wp.uint32],
     ):
-        thread = wp.tid() + first
-        block = load_vec4i(blocks, thread // PIXEL_BLOCK_AREA)
-        place = pixel_in_block(thread)
-        view, shown = views[block[0]], load_vec4i(places, block[0])
-        x, y = block[1] + place[0], block[2] + place[1]
+        pixel = pixel_of(blocks, wp.tid() + first)
+        view, shown = views[pixel[0]], load_vec4i(places, pixel[0])
+        x, y = pixel[1], pixel[2]
         if x >= shown[1] or y >= shown[2]:
             return
         sx = (wp.float32(x) + 0.5) * (wp.float32(view.width) / wp.float32(shown[1])) - 0.5

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import warp as wp
 
-from .ambient_visibility import CODE_MASK, OPEN_WORD, affine_depth, half_index
+from .ambient_visibility import CODE_MASK, affine_depth, half_index
 from .bilateral import final_visibility, rough_reciprocal, smaller_slope, tolerance_of, whole_code, word_visibility
-from .intrinsics import bits_float, fma, load_float, load_vec4i, load_word, load_word_or
+from .intrinsics import bits_float, fma, load_float, load_vec4i, load_word
 from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import View
 
@@ -95,10 +95,10 @@ def upsample_kernel(
     if x >= view.width or y >= view.height or view.depth_only != 0:
         return
     i, k, pitch = pixel_index(view, x, y), half_index(view, x >> 1, y >> 1), view.bins_x * 8
-    right, below = x + 2 < view.width, y + 2 < view.height
-    nw = load_word(words, k)
-    ne, sw = load_word_or(words, k + 1, right, OPEN_WORD), load_word_or(words, k + pitch, below, OPEN_WORD)
-    se = load_word_or(words, k + pitch + 1, right and below, OPEN_WORD)
+    # Where there is no next half-size pixel, the last one stands for it.
+    right, below = wp.where(x + 2 < view.width, 1, 0), wp.where(y + 2 < view.height, pitch, 0)
+    nw, ne = load_word(words, k), load_word(words, k + right)
+    sw, se = load_word(words, k + below), load_word(words, k + below + right)
     v = word_visibility(nw)
     alike = (((ne ^ nw) | (sw ^ nw) | (se ^ nw)) & CODE_MASK) == wp.uint32(0)
     out_visibility[i] = final_visibility(v, power)

@@ -2,11 +2,8 @@
 
 import dataclasses
 import json
-import pathlib
 import re
 
-import bench_package
-import numpy as np
 import pytest
 import warp as wp
 
@@ -90,9 +87,12 @@ def test_rungs_are_set_one_effect_at_a_time():
 
 
 def test_the_pass_that_is_timed_is_the_one_of_the_page():
-    page = (bench_package.ROOT / "docs" / "custom-pass.md").read_text("utf-8")
-    body = pathlib.Path(fog.__file__).read_text("utf-8").split('__all__ = ["Fog"]')[1].strip()
-    assert body.startswith("@wp.kernel") and body in page
+    kernel = fog._definitions()["fog_kernel"]
+    assert kernel.adj.source.startswith("@wp.kernel\ndef fog_kernel(") and kernel.adj.source in fog.PAGE.read_text(
+        "utf-8"
+    )
+    made = fog.make_fog()
+    assert (made.name, made.density, type(made).__doc__) == ("fog", 0.05, "Fog of constant density [1/m].")
 
 
 @pytest.mark.parametrize("case", WITH_CAUSE, ids=lambda case: case.name)
@@ -298,60 +298,6 @@ def test_strips_show_every_rung_and_stay_small(results):
         effect_images.strip_rungs(images / "none.png")
 
 
-def test_a_cut_is_where_the_case_says_and_enlarged():
-    image = np.zeros((40, 60, 4), np.uint8)
-    image[20, 15] = 255
-    case = dataclasses.replace(effect_cases.EFFECT_CASES["anti_aliasing"], centre=(0.25, 0.5), zoom=2)
-    piece = effect_images.cut(image, case, (12, 8))
-    assert piece.shape == (8, 12, 4) and piece[..., 0].sum() == 4 * 255
-    y, x = np.argwhere(piece[..., 0])[0]
-    assert (y, x) == (4, 6)
-    # At a border the cut moves inwards; it never grows past the picture.
-    corner = effect_images.cut(image, dataclasses.replace(case, centre=(1.0, 1.0), zoom=1), (500, 8))
-    assert corner.shape == (8, 60, 4)
-
-
-def test_pictures_lie_from_left_to_right_then_down():
-    cuts = [np.full((2, 3, 4), k, np.uint8) for k in range(5)]
-    sheet = effect_images.lay_side_by_side(cuts)
-    gap = effect_images.GAP
-    assert sheet.shape == (4 + gap, 9 + 2 * gap, 4)
-    assert [sheet[0, k * (3 + gap), 0] for k in range(3)] == [0, 1, 2]
-    assert [sheet[2 + gap, k * (3 + gap), 0] for k in range(3)] == [3, 4, 255]
-
-
-def test_differences_are_multiplied_and_opaque():
-    one, other = np.zeros((2, 3, 4), np.uint8), np.full((2, 3, 4), 10, np.uint8)
-    other[0, 0] = 200
-    apart = effect_images.difference(one, other, 4)
-    assert apart[1, 1].tolist() == [40, 40, 40, 255] and apart[0, 0].tolist() == [255] * 4
-    assert np.array_equal(apart, effect_images.difference(other, one, 4))
-
-
-def test_labels_stand_above_their_pictures():
-    picture = np.full((20, 100, 4), 7, np.uint8)
-    shown = effect_images.labelled(picture, "gtao_half")
-    bar = shown[: effect_images.BAR]
-    assert np.array_equal(shown[effect_images.BAR :], picture)
-    assert (bar[..., 3] == 255).all() and 20 < (bar[..., 0] < 128).sum() < 500
-    assert (effect_images.labelled(picture, "")[: effect_images.BAR] == 255).all()
-
-
-def test_a_sheet_s_cell_is_half_without_and_half_with():
-    off, on = np.zeros((8, 60, 4), np.uint8), np.full((8, 60, 4), 90, np.uint8)
-    cell = effect_images._halves("bloom", off, on)[effect_images.BAR :]
-    assert cell[0, 28, 0] == 0 and (cell[:, 29:31] == 255).all() and cell[0, 31, 0] == 90
-    assert effect_images._smaller(np.arange(16, dtype=np.uint8).reshape(2, 2, 4), 2).tolist() == [[[6, 7, 8, 9]]]
-
-
-def test_a_strip_shrinks_until_it_fits(tmp_path, monkeypatch):
-    noise = np.random.default_rng(0).integers(0, 255, (270, 480, 4)).astype(np.uint8)
-    monkeypatch.setattr(effect_images, "MOST_BYTES", 60_000)
-    case = effect_cases.EFFECT_CASES["bloom"]
-    path = effect_images._write(tmp_path / "a.png", case, {"off": noise, "exact": noise})
-    assert 20_000 < path.stat().st_size <= 60_000 and effect_images.strip_rungs(path) == ["off", "exact"]
-
-
 def test_the_page_shows_what_the_result_holds(results, result):
     pytest.importorskip("matplotlib")
     assert main(["report", "--root", str(results)]) == 0
@@ -378,9 +324,12 @@ def test_the_page_shows_what_the_result_holds(results, result):
 
 def test_costs_are_judged_by_their_limits(result):
     row = {"kind": "rung", "case": "bloom", "effect": "bloom", "source": "glow", "width": 1920, "height": 1080,
-           "rung": "mip_chain", "frame.ms": 0.4, "frame.ms_p5": 0.4, "frame.ms_p95": 0.4, "cost.difference_ms": 0.041}  # fmt: skip
+           "rung": "mip_chain", "frame.ms": 0.4, "frame.ms_p5": 0.4, "frame.ms_p95": 0.4,
+           "cost.difference_ms": 0.041}  # fmt: skip
     on_card = {"device": "NVIDIA H200", "quick": False, "skipped": [], "rows": [row]}
     assert "≤ 0.05 ✓" in effect_tables.ladder_table(on_card, "bloom")
+    elsewhere = effect_tables.ladder_table(on_card | {"device": "CPU, 2 cores"}, "bloom")
+    assert "≤ 0.05 |" in elsewhere
     assert "≤ 0.05 ✗" in effect_tables.ladder_table(on_card | {"rows": [row | {"cost.difference_ms": 0.06}]}, "bloom")
     idle = {
         "kind": "free",
@@ -391,3 +340,13 @@ def test_costs_are_judged_by_their_limits(result):
         "idle.difference_ms": 0.005,
     }
     assert "≤ 0.01 ✓" in effect_tables.free_table(on_card | {"rows": [idle]})
+
+
+def test_the_price_of_not_calling_has_launches_bytes_and_seconds():
+    row = {"kind": "free", "case": "blur", "effect": "blur", "rung": "gaussian", "frame.ms": 1.0, "off.ms": 1.0,
+           "free.passes": 0, "free.launches": 0, "free.kernels": 0, "free.bytes": 0, "free.reason": "why",
+           "compile.s": 3.21}  # fmt: skip
+    table = effect_tables.free_table({"device": "CPU", "quick": False, "rows": [row]})
+    assert "| `blur` | not called for: why | 1.00 | 1.00 | 0 | 0 | 0 | 0.0 kB | 3.2 | by the plan, none |" in table
+    more = effect_tables.free_table({"device": "CPU", "quick": False, "rows": [row | {"free.launches": 1}]})
+    assert "by the plan, none" not in more

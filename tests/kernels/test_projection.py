@@ -12,6 +12,7 @@ from warp_deferred.kernels.interpolation import Barycentric, barycentric, mix2, 
 from warp_deferred.kernels.intrinsics import bits_float, float_bits
 from warp_deferred.kernels.projection import (
     linear_depth,
+    pixel_of,
     relative_position,
     vertex_depth,
     view_direction,
@@ -43,6 +44,12 @@ def snap_kernel(values: wp.array[wp.float32], out_values: wp.array[wp.int32]):
 def pixel_kernel(values: wp.array[wp.int32], out_range: wp.array[wp.vec2i]):
     i = wp.tid()
     out_range[i] = wp.vec2i(first_pixel(values[i]), last_pixel(values[i]))
+
+
+@wp.kernel
+def place_kernel(blocks: wp.array[wp.vec4i], out_places: wp.array[wp.vec3i]):
+    i = wp.tid()
+    out_places[i] = pixel_of(blocks, i)
 
 
 @wp.kernel
@@ -337,3 +344,14 @@ def test_t9_anchor_is_on_its_grid_and_near_the_eye(device, rng):
     one = run(anchor_kernel, [(row, Instance), (near, wp.vec3d)], wp.vec3d, device)
     two = run(anchor_kernel, [(moved, Instance), (near + shift, wp.vec3d)], wp.vec3d, device)
     assert np.array_equal(one + shift, two)
+
+
+def test_threads_find_their_pixels_by_blocks(device):
+    blocks = np.int32([[0, 0, 0, 0], [2, 8, 16, 5], [1, 32760, 24, 0]])
+    out = wp.zeros(3 * 64, dtype=wp.vec3i, device=device)
+    wp.launch(
+        place_kernel, 3 * 64, inputs=[wp.array(blocks, dtype=wp.vec4i, device=device)], outputs=[out], device=device
+    )
+    y, x = np.mgrid[0:8, 0:8]
+    expected = [np.stack([0 * x + view, left + x, top + y], axis=-1).reshape(-1, 3) for view, left, top, _ in blocks]
+    assert np.array_equal(out.numpy(), np.concatenate(expected))

@@ -34,7 +34,7 @@ class AmbientVisibilityPass(Pass):
         return ("depth", *gbuffer_buffers(self.request, self.layout), *(["rays"] * (self.rung() == "ray_traced")))
 
     def writes(self) -> dict[str, Buffer]:
-        """Visibility, and what its making needs: the depth pyramid, words before and after the first blur."""
+        """Visibility, and what its making needs: the depth pyramid, words before and after the narrow blur."""
         pixels = max(self.layout.pixels, 1)
         result = {"ambient_visibility": Buffer(wp.float32, pixels)}
         if self.rung() != "ray_traced":
@@ -43,7 +43,7 @@ class AmbientVisibilityPass(Pass):
             result |= {
                 "visibility_pyramid": Buffer(wp.float32, bins * depth_pyramid.BIN_WORDS),
                 "visibility_words": Buffer(wp.uint32, words),
-                "visibility_rows": Buffer(wp.uint32, words),
+                "visibility_narrow": Buffer(wp.uint32, words),
             }
         return result
 
@@ -77,12 +77,12 @@ class AmbientVisibilityPass(Pass):
         self.table = wp.array(table, dtype=wp.vec4, device=resources.device)
 
     def run(self, resources: Resources) -> None:
-        """Rays; or pyramid, gathering, blur along rows and columns, and up to full size."""
+        """Rays; or pyramid, gathering, narrow and wide blur, and up to full size."""
         if self.rung() == "ray_traced":
             self._trace(resources)
             return
         program, views, channels = resources.program, resources.frame.views, resources.channels
-        pyramid, words, rows = (channels[f"visibility_{n}"] for n in ("pyramid", "words", "rows"))
+        pyramid, words, narrow = (channels[f"visibility_{n}"] for n in ("pyramid", "words", "narrow"))
         final, power = channels["ambient_visibility"], self.request.settings.ambient_visibility.power
         over_bins = self.layout.shown_bins * 64
         over_blocks = len(self.layout.blocks) * 64
@@ -94,7 +94,7 @@ class AmbientVisibilityPass(Pass):
         inputs = [views, tiles, self.gbuffer, pyramid, self.table, *self._gather_parameters(), FIRST]
         program.launch(self.gather, threads, inputs, [words], block_dim=gtao.BLOCK_DIM, band=64)
         # The wide blur finishes, or hands over to the upsampling.
-        stages = zip(self.blurs, (words, rows), (rows, words if self.half else final), strict=True)
+        stages = zip(self.blurs, (words, narrow), (narrow, words if self.half else final), strict=True)
         for blur, source, target in stages:
             inputs = [views, resources.bin_tiles, source, self.radius, power, FIRST]
             program.launch(blur, over_bins, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
@@ -125,8 +125,8 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
 
     def bytes_moved(self) -> int:
-        """Depth and normals in, visibility out; the pyramid; words four times each way, at half size five."""
+        """Depth and normals in, visibility out; the pyramid; words twice each way, half size thrice, depth again."""
         if self.rung() == "ray_traced":
             return self.layout.pixels * 12
-        words = (20 + 20) * 0.25 + 8 if self.half else 16 + 16
+        words = 24 * 0.25 + 4 if self.half else 8 + 8
         return int(self.layout.pixels * (8 + 1.33 + words + 4))

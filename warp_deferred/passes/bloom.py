@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -23,8 +24,8 @@ __all__ = ["BloomPass", "Pyramid", "bright_level", "level_count", "make_bloom", 
 MAX_LEVELS = 14
 #: Kernels of several small levels.
 SMALL = ("narrow", "widen")
-#: Most texels, of all views, of the level that a single launch mixes all wider ones into. It makes as many again of
-#: each of those; a launch of its own costs about what 30 000 texels do.
+#: Most texels, of all views, of the level that a single launch mixes all wider ones into: level 3 at 1080p. It makes
+#: as many again of each of those.
 WIDEN_TEXELS = 65536
 #: Most texels, of all views, of the finer of two levels that a launch makes; it makes four times as many.
 NARROW_TEXELS = 16384
@@ -108,23 +109,25 @@ class Pyramid:
         return cls(rows.reshape(-1), most, counts, first)
 
     def blocks(
-        self, level: int, views: list[int], side: tuple[int, int], cells: tuple[int, int] = (1, 1), more: int = 0
+        self,
+        level: int,
+        views: list[int],
+        side: tuple[int, int],
+        cells: Callable[[int, int], tuple[int, int]] = lambda width, height: (width, height),
     ) -> np.ndarray:
         """Blocks of a level of some views.
 
         Args:
             level: 0 is level 1.
             views: The views.
-            side: What a block's x and y count in a block: width, height.
-            cells: Texels that one of these is wide and high.
-            more: Of these, how many more than the level has.
+            side: Cells that a block is wide and high.
+            cells: Cells that a level of a width and height has: what the blocks' x and y count.
         """
         tables = [np.zeros((0, 4), np.int32)]
         for v in views:
             row = v * self.count + level
-            lengths = [int(self.rows[row][name]) // cell + more if more else -(-int(self.rows[row][name]) // cell)
-                       for name, cell in zip(("width", "height"), cells, strict=True)]  # fmt: skip
-            table = block_grid(v, ViewSize(*(-(-n // s) for n, s in zip(lengths, side, strict=True))), 1)
+            width, height = cells(int(self.rows[row]["width"]), int(self.rows[row]["height"]))
+            table = block_grid(v, ViewSize(-(-width // side[0]), -(-height // side[1])), 1)
             tables.append(table * np.int32((1, *side, 0)) + np.int32((0, 0, 0, row)))
         return np.concatenate(tables)
 
@@ -154,13 +157,13 @@ class Pyramid:
             second = k > pairs and (k - pairs) % 2 == 1
             paired = [v for v in self.having(k + 1) if k >= pairs and not second and k + 1 < made[v]]
             alone = [v for v in self.having(k) if k < made[v] and not second and v not in paired]
-            steps += [("downsample", self.blocks(k, alone, (8, 8), (1, 2)))]
+            steps += [("downsample", self.blocks(k, alone, (8, 8), lambda w, h: (w, -(-h // 2))))]
             steps += [("narrow", self.blocks(k + 1, paired, (2, 2)))]
         steps.append(("widen", self.blocks(mixed, sorted(widened), (8, 8))))
         for k in reversed(range(self.count - 1)):
             views = [v for v in self.having(k + 1) if k < mixed or v not in widened]
             # Corners of the wider level's texels.
-            steps.append(("upsample", self.blocks(k, views, (8, 8), (2, 2), 1)))
+            steps.append(("upsample", self.blocks(k, views, (8, 8), lambda w, h: (w // 2 + 1, h // 2 + 1))))
         return [(name, blocks) for name, blocks in steps if len(blocks)]
 
 
