@@ -149,26 +149,34 @@ def make_taps(half: bool):
 
 
 @wp.func
-def belongs(radius: wp.float32, near: wp.bool, inverse: wp.float32):
-    """Weight of a child in a texel of that side: 0 on the other side, or where its circle is much the smaller."""
-    if (radius < 0.0) != near:
-        return wp.float32(0.0)
-    return wp.clamp(2.0 * wp.abs(radius) * inverse - 0.5, 0.0, 1.0)
+def side(radius: wp.float32):
+    """-1 before the plane in focus, 1 behind it and where a circle hardly leaves its pixel: what is sharp votes too."""
+    return wp.clamp(2.0 * radius + 2.0, -1.0, 1.0)
 
 
 @wp.func
-def merged(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
+def belongs(radius: wp.float32, near: wp.bool, inverse: wp.float32):
+    """Weight of a child in a texel of that side: 0 on the other side, or where its circle is much the smaller."""
+    if (side(radius) < 0.0) != near:
+        return wp.float32(0.0)
+    # Where the largest is a point, all are.
+    return wp.where(inverse > 1.0, 1.0, wp.clamp(2.0 * wp.abs(radius) * inverse - 0.5, 0.0, 1.0))
+
+
+@wp.func
+def merged(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4, tie: wp.float32):
     """One texel out of four: the side of the plane in focus that most lie on, and their mean colour and circle.
 
-    A sharp child is left out of a blurred texel, so its colour is not spread.
+    A sharp child is left out of a blurred texel, so its colour is not spread. Two against two lie before it if `tie` is
+    positive, behind if it is negative.
     """
-    sides = wp.sign(a[3]) + wp.sign(b[3]) + wp.sign(c[3]) + wp.sign(d[3])
-    near = sides < 0.0 or (sides == 0.0 and a[3] < 0.0)
+    sides = side(a[3]) + side(b[3]) + side(c[3]) + side(d[3])
+    near = sides < tie
     turn = wp.where(near, -1.0, 1.0)
     largest = wp.max(wp.max(a[3] * turn, b[3] * turn), wp.max(c[3] * turn, d[3] * turn))
-    if largest < 1.0:
+    if largest < 1.0 and wp.min(wp.min(a[3], b[3]), wp.min(c[3], d[3])) > -1.5:
         return (a + b + c + d) * 0.25
-    inverse = 1.0 / largest
+    inverse = 1.0 / wp.max(largest, 0.01)
     wa, wb = belongs(a[3], near, inverse), belongs(b[3], near, inverse)
     wc, wd = belongs(c[3], near, inverse), belongs(d[3], near, inverse)
     return (a * wa + b * wb + c * wc + d * wd) * (1.0 / (wa + wb + wc + wd))

@@ -207,15 +207,15 @@ class DepthOfFieldSettings(Record):
 
     Error against `lens_samples`, as the root mean square difference of x / (1 + x) over a picture of circles of at most
     16 pixels radius: `gather` at most 0.025 and at most half of what `off` makes, `plane_lerp` at most 0.05 and less
-    than `off`. (0.02 and 0.04 were stated first; the built-in scene `focus` came to 0.020 and 0.042 at 320 x 180, 0.019
+    than `off`. (0.02 and 0.04 were stated first; the built-in scene `focus` came to 0.020 and 0.042 at 320 x 180, 0.018
     and 0.023 at 960 x 540, where `off` has 0.051 and 0.057.) A picture taken with anti-aliasing comes nearer.
     """
 
     rung: Literal["off", "plane_lerp", "gather", "lens_samples"] = "gather"
     """plane_lerp: mix with an equally blurred copy by distance from the plane in focus; gather: circles of confusion,
     what lies before the plane in focus apart from what lies behind it; lens_samples: so many views through points of
-    the lens (reference), which costs so many frames. `gather` costs 1.1 images of memory: 3 layers and 1.3 reduced
-    images of a quarter of the pixels."""
+    the lens (reference), which costs so many frames. `gather` costs 1.3 images of memory: three layers and
+    1.3 reduced images of a quarter of the pixels, and the circles."""
     when: Literal["called_for", "always"] = "called_for"
     """always: run although no camera has an aperture; changes no bit then. lens_samples takes no samples then."""
     max_radius_px: float = Field(32.0, ge=1.0, le=64.0)
