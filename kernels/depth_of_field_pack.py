@@ -112,8 +112,7 @@ def make_depth_of_field_pack_kernel(half: bool):
         lower = below.first + wp.min(2 * y + 1, below.last_y) * below.pitch
         a, b = load_tap(taps, upper + left), load_tap(taps, upper + right)
         c, d = load_tap(taps, lower + left), load_tap(taps, lower + right)
-        # Ties go to either side in turn, so that edges do not wander from level to level.
-        store_tap(taps, rows.first + y * rows.pitch + x, merged(a, b, c, d, wp.where(level == 2, -0.5, 0.5)))
+        store_tap(taps, rows.first + y * rows.pitch + x, merged(a, b, c, d))
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def pack_kernel(
@@ -159,7 +158,6 @@ def make_depth_of_field_pack_kernel(half: bool):
                 wp.vec4(cb[0], cb[1], cb[2], sb),
                 wp.vec4(cc[0], cc[1], cc[2], sc),
                 wp.vec4(cd[0], cd[1], cd[2], sd),
-                0.5,
             )
             store_tap(out_taps, rows.first + (y >> 1) * rows.pitch + (x >> 1), texel)
             far = wp.max(0.0, wp.max(wp.max(sa, sb), wp.max(sc, sd)))

@@ -164,14 +164,14 @@ def belongs(radius: wp.float32, near: wp.bool, inverse: wp.float32):
 
 
 @wp.func
-def merged(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4, tie: wp.float32):
+def merged(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
     """One texel out of four: the side of the plane in focus that most lie on, and their mean colour and circle.
 
-    A sharp child is left out of a blurred texel, so its colour is not spread. Two against two lie before it if `tie` is
-    positive, behind if it is negative.
+    A sharp child is left out of a blurred texel, so its colour is not spread. Two against two lie before it: a bright
+    edge must not be lost.
     """
     sides = side(a[3]) + side(b[3]) + side(c[3]) + side(d[3])
-    near = sides < tie
+    near = sides <= 0.0
     turn = wp.where(near, -1.0, 1.0)
     largest = wp.max(wp.max(a[3] * turn, b[3] * turn), wp.max(c[3] * turn, d[3] * turn))
     if largest < 1.0 and wp.min(wp.min(a[3], b[3]), wp.min(c[3], d[3])) > -1.5:
