@@ -41,9 +41,15 @@ def _note(text: str) -> None:
 
 
 def _measure(
-    name: str, run: Callable[..., dict[str, Any]], device: str, quick: bool, sets: list[str] | None, **more: Any
+    name: str,
+    run: Callable[..., dict[str, Any]],
+    device: str,
+    quick: bool,
+    sets: list[str] | None,
+    keep_at: str | None = None,
+    **more: Any,
 ) -> dict[str, Any]:
-    """Run a bench and return its record."""
+    """Run a bench and return its record; with `keep_at`, what is there is written to that file as it comes."""
     import warp as wp
 
     from warp_deferred.errors import DeviceError
@@ -64,6 +70,8 @@ def _measure(
     started = time.perf_counter()
     _note(f"{name} on {chosen.name}")
     head = record.header(name, chosen, quick=quick, settings=changes)
+    if keep_at is not None:
+        more["keep"] = lambda part: record.write(keep_at, head | part)
     with wp.ScopedDevice(chosen):
         result = head | run(chosen, quick=quick, settings=settings, note=_note, **more)
     _note(f"{len(result['rows'])} rows in {time.perf_counter() - started:.0f} s")
@@ -77,9 +85,13 @@ def _bench(
     plot: str | None,
     quick: bool,
     sets: list[str] | None,
+    keeps: bool = False,
     **more: Any,
 ) -> None:
-    """Run the bench of that name and write what was asked for; the table to stdout where nothing was."""
+    """Run the bench of that name and write what was asked for; the table to stdout where nothing was.
+
+    With `keeps` the bench can hand over what is there as it comes.
+    """
     import importlib
 
     from . import record, tables
@@ -88,7 +100,8 @@ def _bench(
         from . import plots
 
         plots.check_target(plot)  # before minutes of measuring, not after
-    result = _measure(name, importlib.import_module(f"{__package__}.{name}").run, device, quick, sets, **more)
+    run = importlib.import_module(f"{__package__}.{name}").run
+    result = _measure(name, run, device, quick, sets, keep_at=json_path if keeps else None, **more)
     if json_path is None and plot is None:
         typer.echo(tables.full_table(result))
     if json_path is not None:
@@ -145,12 +158,30 @@ def frame(
     _bench("frame", device, json, plot, quick, set_, huge=huge)
 
 
+Case = Annotated[str, typer.Option("--only", metavar="CASE", help="Run this case alone, such as bloom.")]
+
+
 @app.command()
 def effects(
-    device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Case = "",
 ) -> None:
     """What each rung of each effect costs and how far it is from its reference; frames with several effects."""
-    _bench("effects", device, json, plot, quick, set_)
+    _check_case(only)
+    _bench("effects", device, json, plot, quick, set_, only=only, keeps=True)
+
+
+def _check_case(only: str) -> None:
+    from warp_deferred.checks import check_choice
+
+    from .effect_cases import EFFECT_CASES
+
+    if only:
+        check_choice("--only", only, list(EFFECT_CASES))
 
 
 @app.command(name="effects-images")
@@ -159,12 +190,14 @@ def effects_images(
     device: Device = "cuda:0",
     quick: Quick = False,
     set_: Sets = None,
+    only: Case = "",
 ) -> None:
-    """Write the rungs of each effect side by side, for docs/effects.md."""
-    _pictures("effect_images", out, device, quick, set_)
+    """Write the rungs of each effect side by side, for docs/effects.md, and a sheet of all effects for README.md."""
+    _check_case(only)
+    _pictures("effect_images", out, device, quick, set_, only=only)
 
 
-def _pictures(name: str, out: str, device: str, quick: bool, sets: list[str] | None) -> None:
+def _pictures(name: str, out: str, device: str, quick: bool, sets: list[str] | None, **more: Any) -> None:
     """Run a bench that writes pictures into a folder."""
     import importlib
 
@@ -173,7 +206,7 @@ def _pictures(name: str, out: str, device: str, quick: bool, sets: list[str] | N
     def run(chosen: Any, **options: Any) -> dict[str, Any]:
         return {"rows": bench.run(chosen, Path(out), **options)}
 
-    for path in _measure(name, run, device, quick, sets)["rows"]:
+    for path in _measure(name, run, device, quick, sets, **more)["rows"]:
         typer.echo(f"wrote {path}")
 
 

@@ -6,12 +6,14 @@ an empty cache for each rung, it compiles what that rung's frame launches and th
 
 from __future__ import annotations
 
+import concurrent.futures
 import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -19,23 +21,58 @@ import warp as wp
 from warp_deferred import Settings
 from warp_deferred.errors import Error
 
-from .effect_cases import EFFECT_CASES, QUICK_SIZE
+from .effect_cases import EFFECT_CASES, QUICK_SIZE, EffectCase
 from .record import ROOT
 
-__all__ = ["compile_times"]
+__all__ = ["compile_all", "compile_times"]
 
 #: Kernels do not depend on the size of the picture.
 SIZE = QUICK_SIZE
-LIMIT_S = 1200
+LIMIT_S = 300
 
 
-def compile_times(effect: str, device: str, rungs: list[str], settings: Settings) -> dict[str, dict[str, float]]:
+def compile_all(
+    cases: Sequence[EffectCase], device: str, settings: Settings, note: Any, skip: Any
+) -> dict[tuple[str, str], dict[str, float]]:
+    """Compile the kernels of every rung of every case, several cases at a time; each compile is one thread's work.
+
+    It also fills the kernel cache of whoever asks, which spares the frames that come after one compile after the other.
+
+    Args:
+        cases: Cases, with a rung or more each.
+        device: Name of the device.
+        settings: Settings of all cases, but for the rung at hand.
+        note: Function of a text that tells how far it is.
+        skip: Function of a text that names what failed, and why.
+
+    Returns:
+        What `compile_times` says, by case and rung.
+    """
+    # Half of the cores, so that times are of cores that do little else.
+    workers = max(1, min(len(cases), (os.cpu_count() or 1) // 2))
+    found = {}
+    with concurrent.futures.ThreadPoolExecutor(workers) as pool:
+        waiting = {}
+        for case in cases:
+            chosen = settings.with_values(list(case.settings))
+            waiting[pool.submit(compile_times, case.name, device, list(case.rungs()[1:]), chosen)] = case
+        for done in concurrent.futures.as_completed(waiting):
+            name = waiting[done].name
+            try:
+                found |= {(name, rung): times for rung, times in done.result().items()}
+                note(f"{name}, kernels compiled anew")
+            except Exception as error:
+                skip(f"{name}, compile times: {error}")
+    return found
+
+
+def compile_times(name: str, device: str, rungs: list[str], settings: Settings) -> dict[str, dict[str, float]]:
     """Compile the kernels of each rung anew.
 
     Args:
-        effect: An effect with a case.
+        name: Name of a case.
         device: Name of the device.
-        rungs: Rungs other than `off`.
+        rungs: Rungs but for the first.
         settings: Settings but for the rung.
 
     Returns:
@@ -46,7 +83,7 @@ def compile_times(effect: str, device: str, rungs: list[str], settings: Settings
     Raises:
         Error: If the process fails; with the last line it wrote.
     """
-    asked = json.dumps({"effect": effect, "device": device, "rungs": rungs, "settings": settings.model_dump()})
+    asked = json.dumps({"case": name, "device": device, "rungs": rungs, "settings": settings.model_dump()})
     # The driver keeps a cache of its own for what it compiles.
     environment = os.environ | {"CUDA_CACHE_DISABLE": "1"}
     command = [sys.executable, "-m", __spec__.name]
@@ -55,7 +92,7 @@ def compile_times(effect: str, device: str, rungs: list[str], settings: Settings
     )
     if done.returncode != 0:
         last = (done.stderr.strip() or "no message").splitlines()[-1]
-        raise Error(f"compiling the kernels of {effect}: expected times, got {last!r}; run {' '.join(command)}")
+        raise Error(f"compiling the kernels of {name}: expected times, got {last!r}; run {' '.join(command)}")
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -80,19 +117,20 @@ def _seconds(modules: dict[Any, int], device: wp.Device) -> float:
 
 def main() -> None:
     """Read what is asked from standard input and write the times to standard output, as JSON."""
-    from .effects import at_rung, open_case
+    from .effects import open_case
 
     asked = json.loads(sys.stdin.read())
     wp.config.log_level = wp.LOG_WARNING
-    device, case = wp.get_device(asked["device"]), EFFECT_CASES[asked["effect"]]
+    device, case = wp.get_device(asked["device"]), EFFECT_CASES[asked["case"]]
     settings = Settings(**asked["settings"])
+    off = case.rungs()[0]
     found = {}
-    for rung in ("off", *asked["rungs"]):
-        renderer = open_case(case, SIZE, device)
-        renderer.scene.settings = at_rung(settings, case.effect, rung)
+    for rung in (off, *asked["rungs"]):
+        renderer = open_case(case, SIZE, device, rung=rung)
+        renderer.scene.settings = case.at(settings, rung)
         renderer.prepare()
         found[rung] = _modules(renderer)
-    plain = found.pop("off")
+    plain = found.pop(off)
     times = {}
     # The compiler's own start belongs to no effect: any kernel takes it.
     _seconds(dict([next(iter(plain.items()))]), device)

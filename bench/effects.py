@@ -7,130 +7,173 @@ scene without what calls for the effect, or, with `.idle`, with nothing for it t
 
 from __future__ import annotations
 
-import dataclasses
+import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from warp_deferred import Renderer, Scene, Settings, load
+from warp_deferred import Renderer, Settings
 from warp_deferred.compare import compare
-from warp_deferred.errors import Error, LoadError
 from warp_deferred.plan import Plan
 from warp_deferred.program import SAMPLE
 
-from .effect_cases import EFFECT_CASES, EffectCase, case_size, composite_cases, ladders
-from .effect_compile import compile_times
+from .effect_cases import EFFECT_CASES, CompositeCase, EffectCase, case_size, composite_cases, ladders, without_case
+from .effect_compile import compile_all
 from .frame import floor, frame_row
 from .probe import open_scene, plan_of
 from .record import Record
 from .timing import REPEATS, Timing, copy_bandwidth, time_moving, time_passes, time_program
 
-__all__ = ["STEP", "at_rung", "open_case", "own_passes", "picture", "run"]
+__all__ = ["STEP", "open_case", "own_passes", "picture", "reason", "run"]
 
 #: Seconds from one frame of a moving scene to the next.
 STEP = 1.0 / 30.0
+#: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
+SLOW_MS, SLOW_REPEATS = 20.0, 5
 
 Row = dict[str, Any]
 
 
-def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Record:
+def run(
+    device: wp.Device,
+    *,
+    quick: bool,
+    settings: Settings,
+    note: Any,
+    only: str = "",
+    keep: Callable[[Record], Any] | None = None,
+) -> Record:
     """Time every rung of every effect that is there, then whole frames.
+
+    What fails, whatever the reason, is reported by name, and the others go on.
 
     Args:
         device: Where to run.
         quick: Small cases and few repeats; kernels are not compiled anew.
         settings: Settings of all cases, but for the rung at hand.
         note: Function of a text that tells how far it is.
+        only: Name of the one case to run; all of them if left out.
+        keep: Called with what is there after each case, so that nothing measured is lost.
 
     Returns:
         Copy bandwidth, the rows, and in `skipped` every effect, rung and frame that could not be measured, and why.
     """
     bandwidth, repeats = copy_bandwidth(device), 3 if quick else REPEATS
-    known, rows, skipped = ladders(), [], []
+    result: Record = {"copy_bytes_per_s": round(bandwidth), "skipped": [], "rows": []}
 
     def skip(text: str) -> None:
         note(f"skipped {text}")
-        skipped.append(text)
+        result["skipped"].append(text)
 
-    for effect in known:
-        if effect not in EFFECT_CASES:
-            skip(f"{effect}: no case for it in bench/effect_cases.py")
-    for effect, case in EFFECT_CASES.items():
-        if effect not in known:
-            skip(f"{effect}: no such effect in this version")
-            continue
-        if quick:
-            more = case.settings + case.small_settings
-            case = dataclasses.replace(case, source=case.small or case.source, settings=more)
+    def add(name: str, measure: Callable[[], list[Row]]) -> None:
         try:
-            rows += _ladder(case, known[effect], device, quick, settings, bandwidth, repeats, note, skip)
-        except LoadError as error:
-            skip(f"{effect}: {error}")
+            result["rows"] += measure()
+        except Exception as error:
+            skip(f"{name}: {reason(error)}")
+        if keep:
+            keep(result)
+
+    cases = [case for name, case in EFFECT_CASES.items() if only in ("", name)]
+    for effect in without_case():
+        skip(f"{effect}: no case for it in bench/effect_cases.py")
+    for case in cases:
+        if not case.rungs():
+            skip(f"{case.name}: no such effect in this version")
+    cases = [case.quick() if quick else case for case in cases if case.rungs()]
     if quick:
         skip("compile times: kernels are not compiled anew in a quick run")
-    for frame in composite_cases(device.is_cuda, quick=quick):
-        missing = [name for name in frame.needs if name not in known]
-        if missing:
-            skip(f"{frame.name}: no {', '.join(missing)} in this version")
-            continue
-        note(frame.title)
-        row = frame_row(frame, device, settings.with_values(frame.assignments()), bandwidth, repeats)
-        rows.append({"kind": "frame"} | row)
-    return {"copy_bytes_per_s": round(bandwidth), "skipped": skipped, "rows": rows}
+    compiled = {} if quick else compile_all(cases, str(device), settings, note, skip)
+    for case in cases:
+        size = case_size(device.is_cuda, quick)
+
+        def measure(case: EffectCase = case, size: tuple[int, int] = size) -> list[Row]:
+            rows = _case(case, size, device, settings, bandwidth, repeats, note, skip)
+            return [row | compiled.get((case.name, row.get("rung", "")), {}) for row in rows]
+
+        add(case.name, measure)
+    for frame in composite_cases(device.is_cuda, quick=quick) if not only else ():
+        add(frame.name, lambda frame=frame: _frame(frame, device, settings, bandwidth, repeats, note, skip))
+    return result
 
 
-def _ladder(
-    case: EffectCase, rungs: tuple[str, ...], device: wp.Device, quick: bool, settings: Settings, bandwidth: float,
-    repeats: int, note: Any, skip: Any,
+def reason(error: Exception) -> str:
+    """What an error says, in one line: its first, with its kind where it is none of ours."""
+    line = (str(error).strip() or "no message").splitlines()[0]
+    return line if type(error).__module__.startswith("warp_deferred") else f"{type(error).__name__}: {line}"
+
+
+def _frame(
+    frame: CompositeCase, device: wp.Device, settings: Settings, bandwidth: float, repeats: int, note: Any, skip: Any
+) -> list[Row]:
+    """Row of a whole frame."""
+    if missing := [name for name in frame.needs if name not in ladders()]:
+        skip(f"{frame.name}: no {', '.join(missing)} in this version")
+        return []
+    note(frame.title)
+    return [{"kind": "frame"} | frame_row(frame, device, settings.with_values(frame.assignments()), bandwidth, repeats)]
+
+
+def _case(
+    case: EffectCase, size: tuple[int, int], device: wp.Device, settings: Settings, bandwidth: float, repeats: int,
+    note: Any, skip: Any,
 ) -> list[Row]:  # fmt: skip
     """Rows of one effect: its rungs, then what it costs where it has no work."""
-    size = case_size(device.is_cuda, quick)
     settings = settings.with_values(list(case.settings))
+    shared = {"case": case.name, "effect": case.stage, "source": case.source, "width": size[0], "height": size[1]}
+    if case.settings:
+        shared["settings"] = " ".join(case.settings)
+    rungs, rows, pictures = case.rungs(), [], {}
     renderer = open_case(case, size, device)
-    shared = {"effect": case.effect, "source": case.source, "width": size[0], "height": size[1]}
-    rows, pictures, off = [], {}, None
-    for rung in rungs:
-        note(f"{case.effect}, {rung}")
+    note(f"{case.name}, {rungs[0]}")
+    # Without the frame of this rung there is nothing to compare with: what fails here ends the case.
+    row, off_plan = _rung(case, renderer, case.at(settings, rungs[0]), None, bandwidth, repeats)
+    off = (row, off_plan)
+    pictures[rungs[0]] = picture(case, renderer)
+    rows.append({"kind": "rung", **shared, "rung": rungs[0], **row})
+    for rung in rungs[1:]:
+        note(f"{case.name}, {rung}")
         try:
-            row, plan = _rung(case, renderer, at_rung(settings, case.effect, rung), off, bandwidth, repeats)
+            if case.passes is not None:
+                renderer = open_case(case, size, device, rung=rung)
+            row, _ = _rung(case, renderer, case.at(settings, rung), off, bandwidth, repeats)
             pictures[rung] = picture(case, renderer)
-        except Error as error:
-            skip(f"{case.effect}.rung={rung}: {error}")
+        except Exception as error:
+            skip(f"{case.name}.{case.field}={rung}: {reason(error)}")
             continue
-        off = off or (row, plan)
         rows.append({"kind": "rung", **shared, "rung": rung, **row})
-    reference = rungs[-1]
-    for row in rows:
-        if reference in pictures:
-            row |= {"reference": reference} | _error(pictures[row["rung"]], pictures[reference])
-    if not quick:
-        note(f"{case.effect}, compiling its kernels anew")
-        times = compile_times(case.effect, str(device), [row["rung"] for row in rows[1:]], settings)
+    if case.reference in pictures:
         for row in rows:
-            row |= times.get(row["rung"], {})
-    default = getattr(settings, case.effect).rung
-    tried = settings if default != "off" else at_rung(settings, case.effect, rungs[1])
-    if case.free is not None:
-        note(f"{case.effect}, not called for")
-        rows.append({"kind": "free", **shared} | _free(case, size, device, tried, repeats))
-    if case.idle is not None:
-        note(f"{case.effect}, nothing to do on the device")
-        rows.append({"kind": "free", **shared} | _idle(case, size, device, tried, repeats))
+            row |= {"reference": case.reference} | _error(pictures[row["rung"]], pictures[case.reference])
+    tried = case.at(settings, case.default(settings)) if case.has_cause or case.idle else settings
+    for text, measure, wanted in (
+        ("not called for", _free, case.has_cause),
+        ("nothing to do on the device", _idle, case.idle is not None),
+    ):
+        if not wanted:
+            continue
+        note(f"{case.name}, {text}")
+        try:
+            row = measure(case, size, device, tried, repeats)
+            rows.append({"kind": "free", **shared, "rung": case.default(settings), **row})
+        except Exception as error:
+            skip(f"{case.name}, {text}: {reason(error)}")
     return rows
 
 
-def at_rung(settings: Settings, effect: str, rung: str) -> Settings:
-    """Change the rung of one effect."""
-    return settings.replace(**{effect: getattr(settings, effect).replace(rung=rung)})
+def open_case(
+    case: EffectCase, size: tuple[int, int], device: wp.Device, change: Any = None, rung: str = ""
+) -> Renderer:
+    """Open the case's scene for its picture, changed by a function of the scene where one is handed in.
 
-
-def open_case(case: EffectCase, size: tuple[int, int], device: wp.Device, change: Any = None) -> Renderer:
-    """Open the case's scene for its picture, changed by a function of the scene where one is handed in."""
-    scene: Scene = load(case.source)
+    Passes of a user's own belong to a renderer, not to settings: `rung` names the one that is wanted.
+    """
+    scene = case.build()
     if change is not None:
         change(scene)
-    return open_scene(scene, size, device, ("display",))
+    passes = [stage for stage in case.passes() if stage.name == rung] if case.passes else []
+    return open_scene(scene, size, device, ("display",), passes)
 
 
 def _step(renderer: Renderer, k: int) -> None:
@@ -154,6 +197,14 @@ def _time(case: EffectCase, renderer: Renderer, plan: Plan, repeats: int) -> Tim
     return time_program(plan.resources.program, repeats=repeats)
 
 
+def _fewer(renderer: Renderer, plan: Plan, repeats: int) -> int:
+    """Repeats of what is timed: few where a frame is slow, as those of reference rungs are."""
+    started = time.perf_counter()
+    plan.resources.program.replay()
+    wp.synchronize_device(renderer.device)
+    return min(repeats, SLOW_REPEATS) if (time.perf_counter() - started) * 1e3 > SLOW_MS else repeats
+
+
 def own_passes(plan: Plan, off: Plan) -> list[str]:
     """Names of the passes a plan has and the one with the effect off has not, in frame order."""
     others = {stage.name for stage in off.passes}
@@ -169,8 +220,9 @@ def _rung(
     if case.moving:
         _step(renderer, 1)
         plan = renderer.plan
+    repeats = _fewer(renderer, plan, repeats)
     whole = _time(case, renderer, plan, repeats)
-    row: Row = whole.metrics("frame") | {"memory.bytes": _held(renderer)}
+    row: Row = whole.metrics("frame") | {"frame.repeats": whole.repeats, "memory.bytes": _held(renderer)}
     # Passes are timed by replays, in which nothing moves.
     times = {} if case.moving else _passes(plan, repeats)
     row |= {f"pass.{name}.ms": round(value, 5) for name, value in times.items()}
@@ -181,13 +233,14 @@ def _rung(
     row["cost.difference_ms"] = round(whole.median - other["frame.ms"], 5)
     row["memory.added_bytes"] = row["memory.bytes"] - other["memory.bytes"]
     row["samples"] = plan.replays
+    row["explain"] = _explained(plan, off_plan)
     if not times:
         return row, plan
     names = own_passes(plan, off_plan)
     # What an effect adds to passes that run anyway: look-ups in shade, views in raster, more samples of all.
     shared = {name: times[name] - other[f"pass.{name}.ms"] for name in times if f"pass.{name}.ms" in other}
     row["shared.difference_ms"] = round(sum(shared.values()), 5)
-    row["shared.most"] = max(shared, key=lambda name: shared[name])
+    row["shared.passes"] = {name: round(value, 5) for name, value in shared.items()}
     if names:
         moved = {report.name: report.bytes or 0 for report in plan.reports(measure=False) if report.runs}
         own = sum(times[name] for name in names)
@@ -217,6 +270,17 @@ def _error(shown: np.ndarray, reference: np.ndarray) -> dict[str, float]:
     return errors | ({"error.flip": round(result.flip, 6)} if result.flip is not None else {})
 
 
+def _explained(plan: Plan, off: Plan) -> list[list[str]]:
+    """Lines of `explain` that the rung changes: pass, what it runs as, why."""
+    others = {line.name: line for line in off.reports(measure=False)}
+    lines = []
+    for line in plan.reports(measure=False):
+        other = others.get(line.name)
+        if line.runs and (other is None or not other.runs or other.rung != line.rung):
+            lines.append([line.name, line.rung, line.reason])
+    return lines
+
+
 def _launches(plan: Plan) -> list[Any]:
     """Kernels of a plan in the order they are launched; equal kernels are the same object."""
     return [kernel for kernel, _ in plan.resources.program.kernels]
@@ -225,13 +289,16 @@ def _launches(plan: Plan) -> list[Any]:
 def _free(case: EffectCase, size: tuple[int, int], device: wp.Device, settings: Settings, repeats: int) -> Row:
     """Compare the plan of a scene that does not call for the effect with the plan of rung `off`."""
     figures = []
-    for chosen in (settings, at_rung(settings, case.effect, "off")):
+    settings = settings.with_values(list(case.free_settings))
+    for chosen in (settings, case.at(settings, "off")):
         renderer = open_case(case, size, device, case.free)
         plan = plan_of(renderer, chosen)
         figures.append((plan, _time(case, renderer, plan, repeats), _held(renderer)))
     (plan, whole, memory), (off_plan, off, off_memory) = figures
-    row: Row = {"case": f"{case.effect}.free"} | whole.metrics("frame") | off.metrics("off")
+    told = next(line for line in plan.reports(measure=False) if line.name == case.stage)
+    row: Row = whole.metrics("frame") | off.metrics("off")
     return row | {
+        "free.reason": told.reason,
         "free.passes": len(own_passes(plan, off_plan)),
         "free.launches": len(_launches(plan)) - len(_launches(off_plan)),
         "free.kernels": len(set(_launches(plan)) - set(_launches(off_plan))),
@@ -242,9 +309,9 @@ def _free(case: EffectCase, size: tuple[int, int], device: wp.Device, settings: 
 def _idle(case: EffectCase, size: tuple[int, int], device: wp.Device, settings: Settings, repeats: int) -> Row:
     """Time a frame whose device finds nothing to do for the effect, beside the frame without it."""
     renderer = open_case(case, size, device, case.idle)
-    off = time_program(plan_of(renderer, at_rung(settings, case.effect, "off")).resources.program, repeats=repeats)
+    off = time_program(plan_of(renderer, case.at(settings, "off")).resources.program, repeats=repeats)
     program = plan_of(renderer, settings).resources.program
     whole = time_program(program, repeats=repeats)
     active = [section.name for section in program.sections if section.active]
-    row: Row = {"case": f"{case.effect}.idle"} | whole.metrics("frame") | off.metrics("off")
+    row: Row = whole.metrics("frame") | off.metrics("off")
     return row | {"idle.difference_ms": round(whole.median - off.median, 5), "idle.active": " ".join(active)}

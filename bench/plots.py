@@ -11,7 +11,7 @@ import numpy as np
 from warp_deferred.errors import Error, LoadError
 
 from .cases import reachable_mean
-from .effect_tables import effect_names, rungs_of
+from .effect_tables import case_names, rungs_of
 from .frame import pass_names
 from .record import Record
 from .tables import milliseconds
@@ -227,22 +227,31 @@ def _host(record: Record) -> Figure:
 
 def _effects(record: Record) -> Figure:
     """Error over cost, one panel an effect: what a rung's accuracy costs."""
-    names = [name for name in effect_names(record) if any("error.rmse" in row for row in rungs_of(record, name))]
+    names = [name for name in case_names(record) if any("error.rmse" in row for row in rungs_of(record, name))]
     across = min(3, max(1, len(names)))
     down = -(-max(1, len(names)) // across)
     figure = Figure(figsize=(0.6 + 3.1 * across, 0.6 + 2.6 * down))
     panels = np.atleast_1d(figure.subplots(down, across)).ravel()
     for axes, name in zip(panels, names, strict=False):
         rows = [row for row in rungs_of(record, name) if "error.rmse" in row]
-        points = [(row["cost.difference_ms"], row["error.rmse"], row["rung"]) for row in rows[1:]]
+        # The reference of a ladder that saves time is the frame without it: no cost then, but the frame's time.
+        saves = rows[0]["rung"] == rows[0]["reference"]
+        key = "frame.ms" if saves else "cost.difference_ms"
+        points = [(row[key], row["error.rmse"], row["rung"]) for row in rows[not saves :]]
         # What costs no more than the noise still has its place, at the left edge.
         least = min([cost for cost, _, _ in points if cost > 0.0], default=1e-3) / 2.0
         points = [(max(cost, least), error, rung) for cost, error, rung in points]
-        axes.axhline(rows[0]["error.rmse"], color=PALE, linestyle=":", linewidth=1.2)
+        if not saves:
+            axes.axhline(rows[0]["error.rmse"], color=PALE, linestyle=":", linewidth=1.2)
         axes.plot([p[0] for p in points], [p[1] for p in points], "o", color=COLORS[0], markersize=5)
         for cost, error, rung in points:
             axes.annotate(rung, (cost, error), xytext=(6, -3), textcoords="offset points", fontsize=8)
-        axes.set(xscale="log", title=name, xlabel="cost [ms]", xlim=(least / 1.8, max(p[0] for p in points) * 12.0))
+        axes.set(
+            xscale="log",
+            title=name,
+            xlabel="frame [ms]" if saves else "cost [ms]",
+            xlim=(least / 1.8, max(p[0] for p in points) * 12.0),
+        )
         high = max(row["error.rmse"] for row in rows) or 1.0
         axes.set_ylim(-0.12 * high, 1.15 * high)
         axes.minorticks_off()

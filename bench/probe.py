@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_deferred import Renderer, Scene, Settings
+from warp_deferred import Pass, Renderer, Scene, Settings
 from warp_deferred.passes.light_culling import (
     Band,
     LightCullingPass,
@@ -27,9 +27,11 @@ from .timing import run_until
 __all__ = ["bytes_by_pass", "count_lights", "lights_per_tile", "lit_lights", "open_scene", "plan_of", "raster_counts"]
 
 
-def open_scene(scene: Scene, size: tuple[int, int], device: wp.Device, outputs: Sequence[str]) -> Renderer:
+def open_scene(
+    scene: Scene, size: tuple[int, int], device: wp.Device, outputs: Sequence[str], passes: Sequence[Pass] = ()
+) -> Renderer:
     """Make a renderer that follows the scene's settings, so that `plan_of` can change them without a new upload."""
-    return Renderer(scene, width=size[0], height=size[1], device=device, outputs=outputs)
+    return Renderer(scene, width=size[0], height=size[1], device=device, outputs=outputs, passes=passes)
 
 
 def plan_of(renderer: Renderer, settings: Settings) -> Plan:

@@ -12,7 +12,7 @@ from pathlib import Path
 from warp_deferred.errors import LoadError
 
 from . import record, tables
-from .effect_page import effects_page
+from .effect_page import effects_page, overview
 
 __all__ = ["MARKER", "fill", "run"]
 
@@ -41,8 +41,8 @@ SECTIONS = {
     "tiles": ("Light tiles", "The same scene by the side of a screen tile, the number of lights and the resolution."),
     "effects": (
         "Effects",
-        "Each rung of each effect on the scene that shows it, beside the same frame with rung `off`; pictures are in "
-        "[effects.md](effects.md).",
+        "Each rung of each effect on the scene that shows it, beside the same frame without; pictures, tables and "
+        "whole frames with effects are in [effects.md](effects.md).",
     ),
     "host": (
         "Host time",
@@ -123,7 +123,7 @@ def _page(records: dict[str, record.Record]) -> str:
             suffix = name.removeprefix(bench).strip("_-")
             parts.append(f"## {heading}{f' ({suffix})' if suffix else ''}")
             parts.append(text)
-            parts.append(tables.full_table(result))
+            parts.append(overview(result, EFFECTS_PAGE.name) if bench == "effects" else tables.full_table(result))
             parts.append(f"![{heading.lower()}](images/bench_{name}.png)")
             parts.append(f"Measured on {tables.provenance(result)}.")
     return "\n\n".join(parts) + "\n"

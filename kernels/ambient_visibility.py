@@ -20,12 +20,13 @@ proportion to its elevation above the tangent plane up to 1 / ELEVATION: samples
 which at grazing angles would lift a plane above itself. **Thickness.** Depths are taken for a height field: what lies
 behind the first surface is solid. Thin things therefore block too much; the reference rung shows how much.
 
-Arithmetic is + - * /, bit casts and table look-ups, no library functions: CPU and CUDA write the same bits. View space
-is x right, y up, z backward. Block size 64, one thread a pixel; deterministic.
+Arithmetic is + - * /, fused multiply-adds, bit casts and table look-ups, no library functions: CPU and CUDA write the
+same bits. View space is x right, y up, z backward. Block size 64, one thread a pixel; deterministic.
 
 Cost at 1920 x 1080 with 2 slices of 2 x 3 samples: reads 4 (depth) + 4 (normal) + about 2 (pyramid) bytes a pixel,
-writes 4: 29 MB, 7 us at 4.2 TB/s. Arithmetic rules: at most 1850 instructions a pixel (the binary's length for sm_90),
-130 us at 29.6 T/s; a sample outside the ball or the view spares about half of its 90.
+writes 4: 29 MB, 7 us at 4.2 TB/s. Arithmetic rules: the binary for sm_90 has 1400 instructions, of which a fifth are
+paths that are hardly ever taken; a sample takes 47 whether it counts or not, what two of them share 25. 1100 a pixel
+are 77 us at 29.6 T/s where surfaces fill the picture.
 """
 
 from __future__ import annotations
@@ -35,15 +36,17 @@ import functools
 import numpy as np
 import warp as wp
 
-from .depth_pyramid import LEVELS, pyramid_index
+from .depth_pyramid import LEVELS, level_start, pyramid_index
 from .encoding import make_gbuffer_codec, pack_unorm
-from .intrinsics import bits_float, float_bits, load_float, load_vec4, load_vec4i
+from .intrinsics import bits_float, float_bits, fma, fnma, load_either, load_float, load_vec4, load_vec4i, saturated_fma
 from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, GBuffer, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
+#: (block, least blocks a multiprocessor): 56 registers and none spilled, where without it 64 are taken.
+BOUNDS = (BLOCK_DIM, 18)
 #: Squared distance, as a share of the squared radius, from which a sample counts less.
 FALLOFF_START = wp.constant(0.9)
 #: Radius of the ball that samples are taken from, as a multiple of the radius asked for.
@@ -55,10 +58,11 @@ NEAREST_PX = wp.constant(1.3)
 #: A sample's place is rounded by adding and taking away 1.5 * 2^23: views are narrower than 2^22 pixels.
 ROUNDER = wp.constant(12582912.0)
 ROUNDER_BITS = wp.constant(wp.uint32(0x4B400000))
-#: Bits of a word that hold depth; the low 8 hold visibility.
+#: Bits of a word that hold depth; the low 8 hold 255ths of what is blocked.
 DEPTH_MASK = wp.constant(wp.uint32(0xFFFFFF00))
-#: Word of the background: depth +inf, visibility 1.
-OPEN_WORD = wp.constant(wp.uint32(0x7F8000FF))
+CODE_MASK = wp.constant(wp.uint32(0xFF))
+#: Word of the background: as a float its depth, +inf, and nothing blocked.
+OPEN_WORD = wp.constant(wp.uint32(0x7F800000))
 #: (codec, slices, steps, half): what CI compiles.
 VARIANTS = [
     (("compact", "oct24", True), 2, 3, False),
@@ -94,6 +98,12 @@ def falloff_of(radius: float) -> float:
 
 
 @wp.func
+def dot3(a: wp.vec3, b: wp.vec3):
+    """Dot product, each term but the first rounded with its sum."""
+    return fma(a[2], b[2], fma(a[1], b[1], a[0] * b[0]))
+
+
+@wp.func
 def fast_rsqrt(x: wp.float32):
     """1 / sqrt(x) within 5e-6 by halving the exponent and two Newton steps; x = 0 gives something large.
 
@@ -101,18 +111,18 @@ def fast_rsqrt(x: wp.float32):
     """
     y = bits_float(wp.uint32(0x5F375A86) - (float_bits(x) >> wp.uint32(1)))
     half = 0.5 * x
-    y = y * (1.5 - half * y * y)
-    return y * (1.5 - half * y * y)
+    y = y * fnma(half * y, y, 1.5)
+    return y * fnma(half * y, y, 1.5)
 
 
 @wp.func
 def rough_rsqrt(x: wp.float32):
-    """1 / sqrt(x) within 7e-4 by one Newton step of fitted factors; x = 0 gives something large.
+    """1 / sqrt(x) within 1e-3 by one Newton step; x = 0 gives something large.
 
-    Source: Kadlec 2010, "Improving the fast inverse square root".
+    After Kadlec 2010, "Improving the fast inverse square root"; both numbers are a fit of ours with one factor fewer.
     """
-    y = bits_float(wp.uint32(0x5F1FFFF9) - (float_bits(x) >> wp.uint32(1)))
-    return y * (0.703952253 * (2.38924456 - x * y * y))
+    y = bits_float(wp.uint32(0x5F0B3800) - (float_bits(x) >> wp.uint32(1)))
+    return y * fnma(x * y, y, 1.891)
 
 
 @wp.func
@@ -123,7 +133,7 @@ def arc_part(c: wp.float32):
     integral, acos c - c sqrt(1 - c^2).
     """
     s = c * c
-    return c * (1.99503783 + s * (-0.25680352 + s * (-0.37033505 + s * (0.48553474 - s * 0.28212488))))
+    return c * fma(s, fma(s, fma(s, fma(s, -0.28212488, 0.48553474), -0.37033505), -0.25680352), 1.99503783)
 
 
 @wp.func
@@ -136,8 +146,8 @@ def affine_depth(view: View, depth: wp.float32):
 
 @wp.func
 def pack_visibility(affine: wp.float32, visibility: wp.float32):
-    """Word of an affine depth (15 bits of mantissa) and a visibility (8 bits, rounded)."""
-    return (float_bits(affine) & DEPTH_MASK) | pack_unorm(visibility, 255.0)
+    """Word of an affine depth (15 bits of mantissa) and what a visibility leaves blocked (8 bits, rounded)."""
+    return (float_bits(affine) & DEPTH_MASK) | (CODE_MASK - pack_unorm(visibility, 255.0))
 
 
 @wp.func
@@ -190,23 +200,40 @@ def fetch_point(
 class Gather:
     """A pixel's surface and what its samples are measured by."""
 
-    point: wp.vec3  # view space [m]
+    eye: wp.vec3  # from the point to the eye, view space [m]; orthographic: to its origin
     towards: wp.vec3  # unit vector to the viewer
     normal: wp.vec3  # ELEVATION long
     inverse: wp.vec2  # 1 / view.scale
-    shift: wp.vec2  # pixel * inverse + shift is a pixel centre's x / depth, y / depth
-    x: wp.float32  # pixel
+    ray: wp.vec2  # x / depth, y / depth of the pixel; orthographic: x, y [m]
+    x: wp.float32  # pixel + ROUNDER
     y: wp.float32
-    radius2: wp.float32  # squared radius [m^2]
-    slope: wp.float32  # falloff per squared metre
+    fade: wp.float32  # falloff per squared metre, times the squared radius
+    slope: wp.float32  # falloff per squared metre, times -1
+
+
+@wp.struct
+class Level:
+    """Where the depths of a level lie."""
+
+    shift: wp.uint32  # the level, 0 to LEVELS; 0: the depths themselves
+    keep: wp.uint32  # mask of a float's bits, and what is then set: a texel's pixel
+    half: wp.uint32
+    start: wp.int32  # index of the texel that covers pixel (0, 0)
+    pitch: wp.int32  # texels from one row to the next
 
 
 @wp.func
-def level_start(view: View, level: wp.int32, pitch: wp.int32):
-    """Index of the texel of a level, 0 to LEVELS, that covers pixel (0, 0); level 0 is the depths themselves."""
-    if level == 0:
-        return wp.int32(view.pixel_offset)
-    return pyramid_index(view, level, 0, 0)
+def level_at(view: View, x: wp.float32, y: wp.float32):
+    """Level to fetch from at an offset [px]."""
+    level = Level()
+    k = sample_level(x, y)
+    level.shift = wp.uint32(k)
+    side = wp.uint32(1) << level.shift
+    level.keep = wp.uint32(0) - side
+    level.half = side >> wp.uint32(1)
+    level.pitch = wp.where(k == 0, view.row_pitch, view.bins_x << 4)
+    level.start = wp.where(k == 0, wp.int32(view.pixel_offset), level_start(view, k))
+    return level
 
 
 @wp.func
@@ -215,45 +242,35 @@ def sample_horizon(
     depth: wp.array[wp.float32],
     pyramid: wp.array[wp.float32],
     g: Gather,
-    offset_x: wp.float32,
-    offset_y: wp.float32,
-    level: wp.int32,
-    start: wp.int32,
-    pitch: wp.int32,
+    x: wp.float32,
+    y: wp.float32,
+    level: Level,
     low: wp.float32,
+    minus_low: wp.float32,
     highest: wp.float32,
 ):
-    """Cosine of the horizon, up to rounding at most 1, after one more sample, `offset` pixels away.
+    """Cosine of the horizon, up to rounding at most 1, after one more sample, at pixel (x, y) + ROUNDER.
 
-    start and pitch are the level's. No sample leaves the view.
+    No sample leaves the view. What lies outside, the background and whatever is not finite weigh 0 or give a NaN, which
+    the maximum drops: no branch keeps the next loads waiting.
     """
-    # Added to a small number, 1.5 * 2^23 rounds it and leaves it in the low bits.
-    x = wp.int32(float_bits(g.x + offset_x + ROUNDER) - ROUNDER_BITS)
-    y = wp.int32(float_bits(g.y + offset_y + ROUNDER) - ROUNDER_BITS)
+    bits_x, bits_y = float_bits(x), float_bits(y)
+    column, row = bits_x - ROUNDER_BITS, bits_y - ROUNDER_BITS
     # Unsigned, what is left of 0 is large, and so is what comes of offsets beyond any integer.
-    if wp.uint32(x) >= wp.uint32(view.width) or wp.uint32(y) >= wp.uint32(view.height):
-        return highest
-    tx, ty = x >> level, y >> level
-    z = wp.float32(0.0)
-    if level == 0:
-        z = load_float(depth, start + ty * pitch + tx)
-    else:
-        z = load_float(pyramid, start + ty * pitch + tx)
-    half = wp.uint32((1 << level) >> 1) + ROUNDER_BITS
-    px = bits_float(wp.uint32(tx << level) + half) - ROUNDER
-    py = bits_float(wp.uint32(ty << level) + half) - ROUNDER
+    inside = column < wp.uint32(view.width) and row < wp.uint32(view.height)
+    index = wp.int32(row >> level.shift) * level.pitch + (level.start + wp.int32(column >> level.shift))
+    z = load_either(depth, pyramid, level.shift != wp.uint32(0), index, inside)
+    # Pixels from the own one to the texel's: exact.
+    px = bits_float((bits_x & level.keep) | level.half) - g.x
+    py = bits_float((bits_y & level.keep) | level.half) - g.y
     spread = wp.where(view.projection == ORTHOGRAPHIC, 1.0, z)
-    dx = (px * g.inverse[0] + g.shift[0]) * spread - g.point[0]
-    dy = (py * g.inverse[1] + g.shift[1]) * spread - g.point[1]
-    d = wp.vec3(dx, dy, -z - g.point[2])
-    square = wp.dot(d, d)
-    # Also false for the background and whatever is not finite.
-    if square < g.radius2:
-        inverse = rough_rsqrt(square)
-        cosine = wp.dot(d, g.towards) * inverse
-        weight = wp.min((g.radius2 - square) * g.slope, 1.0) * wp.clamp(wp.dot(d, g.normal) * inverse, 0.0, 1.0)
-        return wp.max(highest, low + (cosine - low) * weight)
-    return highest
+    dx = fma(fma(px, g.inverse[0], g.ray[0]), spread, g.eye[0])
+    dy = fma(fma(py, g.inverse[1], g.ray[1]), spread, g.eye[1])
+    d = wp.vec3(dx, dy, g.eye[2] - z)
+    square = dot3(d, d)
+    inverse = rough_rsqrt(square)
+    weight = saturated_fma(square, g.slope, g.fade) * saturated_fma(dot3(d, g.normal), inverse, 0.0)
+    return wp.max(highest, fma(fma(dot3(d, g.towards), inverse, minus_low), weight, low))
 
 
 @functools.cache
@@ -295,32 +312,31 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
         for k in range(wp.static(slices)):
             row = load_vec4(pattern, k * 16 + phase)
             # The tangent is the slice's direction less its part along v; the unit direction lies in the image plane.
-            along = row[0] * v[0] + row[1] * v[1]
-            nt = (row[0] * n[0] + row[1] * n[1] - along * facing) * fast_rsqrt(wp.max(1.0 - along * along, 1.0e-6))
-            sine = wp.clamp(nt * fast_rsqrt(nv * nv + nt * nt), -1.0, 1.0)
+            along = fma(row[1], v[1], row[0] * v[0])
+            across = fnma(along, facing, fma(row[1], n[1], row[0] * n[0]))
+            nt = across * rough_rsqrt(wp.max(fnma(along, along, 1.0), 1.0e-6))
+            sine = wp.clamp(nt * rough_rsqrt(fma(nt, nt, nv * nv)), -1.0, 1.0)
             # Towards +t the tangent plane stands at n + 90 degrees, towards -t at 90 - n.
-            c1, c0 = -sine, wp.float32(sine)
+            negative = wp.float32(0.0) - sine
+            c1, c0 = wp.float32(negative), wp.float32(sine)
             to_x, to_y = row[0] * view.scale[0], row[1] * view.scale[1]
             for step in range(wp.static(steps)):
                 share = (wp.float32(step) + row[2]) * wp.static(1.0 / steps)
                 # Denser near the pixel.
-                far = reach * (share * (0.4 + 0.6 * share)) + nearest
+                far = fma(reach, share * fma(share, 0.6, 0.4), nearest)
                 x, y = to_x * far, to_y * far
-                level = sample_level(x, y)
-                pitch = wp.where(level == 0, view.row_pitch, view.bins_x << 4)
-                start = level_start(view, level, pitch)
-                c1 = sample_horizon(view, depth, pyramid, g, x, y, level, start, pitch, -sine, c1)
-                c0 = sample_horizon(view, depth, pyramid, g, -x, -y, level, start, pitch, sine, c0)
+                level = level_at(view, x, y)
+                c1 = sample_horizon(view, depth, pyramid, g, g.x + x, g.y + y, level, negative, sine, c1)
+                c0 = sample_horizon(view, depth, pyramid, g, g.x - x, g.y - y, level, sine, negative, c0)
             c1, c0 = wp.min(c1, 1.0), wp.min(c0, 1.0)
-            q = 1.0 - sine * sine
-            total += nv * ((1.0 - c1 * c1) + (1.0 - c0 * c0)) + nt * (arc_part(c0) - arc_part(c1))
-            open_total += nv * (q + q) + nt * (2.0 * arc_part(sine))
+            total = fma(nv, fnma(c1, c1, fnma(c0, c0, 2.0)), fma(nt, arc_part(c0) - arc_part(c1), total))
+            open_total = fma(2.0 * nv, fnma(sine, sine, 1.0), fma(2.0 * nt, arc_part(sine), open_total))
         # No slice sees the normal, or something was not finite: nothing is known to block.
         if not (open_total > 0.0 and wp.isfinite(total)):
             return wp.float32(1.0)
         return wp.clamp(total / open_total, 0.0, 1.0)
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
+    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=BOUNDS)
     def ambient_visibility_kernel(
         # Frame
         views: wp.array[View],
@@ -357,19 +373,20 @@ def make_ambient_visibility_kernel(codec: tuple, slices: int, steps: int, half: 
             return
         affine = affine_depth(view, d)
         g = Gather()
-        g.x = wp.float32(x)
-        g.y = wp.float32(y)
+        g.x = wp.float32(x) + ROUNDER
+        g.y = wp.float32(y) + ROUNDER
         g.inverse = wp.vec2(1.0 / view.scale[0], 1.0 / view.scale[1])
-        g.shift = wp.vec2((0.5 - view.center[0]) * g.inverse[0], (0.5 - view.center[1]) * g.inverse[1])
-        g.point = wp.vec3(g.x * g.inverse[0] + g.shift[0], g.y * g.inverse[1] + g.shift[1], -d)
+        right, up = wp.float32(x) + 0.5 - view.center[0], wp.float32(y) + 0.5 - view.center[1]
+        g.ray = wp.vec2(right * g.inverse[0], up * g.inverse[1])
+        g.eye = wp.vec3(-g.ray[0], -g.ray[1], d)
         ball = RADIUS_SCALE * radius
-        g.radius2 = ball * ball
-        g.slope = falloff
+        g.slope = -falloff
+        g.fade = ball * ball * falloff
         g.towards = wp.vec3(0.0, 0.0, 1.0)
         reach = wp.float32(ball)
         if view.projection != ORTHOGRAPHIC:
-            g.point = wp.vec3(g.point[0] * d, g.point[1] * d, -d)
-            g.towards = g.point * (-fast_rsqrt(wp.dot(g.point, g.point)))
+            g.eye = wp.vec3(g.eye[0] * d, g.eye[1] * d, d)
+            g.towards = g.eye * fast_rsqrt(dot3(g.eye, g.eye))
             reach = ball * affine
         # Where the radius exceeds the view, its samples would miss it.
         reach = wp.min(reach, 0.5 * wp.float32(wp.max(view.width, view.height)) * wp.abs(g.inverse[0]))

@@ -17,6 +17,7 @@ from .bilateral import final_visibility
 from .encoding import make_gbuffer_codec
 from .intrinsics import load_vec4, load_vec4i
 from .projection import pixel_in_block, pixel_index, relative_position
+from .ray_scene import RayScene, make_blocked
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, GBuffer, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -31,8 +32,8 @@ HASH_ROW = wp.constant(wp.uint32(16411))
 HASH_SCALE = wp.constant(wp.uint32(747796405))
 HASH_SHIFT = wp.constant(wp.uint32(2891336453))
 HASH_WORD = wp.constant(wp.uint32(277803737))
-#: (codec, grouped): what CI compiles.
-VARIANTS = [(("compact", "oct24", True), False), (("full", "float32", True), True)]
+#: (codec,): what CI compiles.
+VARIANTS = [(("compact", "oct24", True),), (("full", "float32", True),)]
 
 
 def cosine_directions(count: int) -> np.ndarray:
@@ -67,31 +68,15 @@ def tangent_of(n: wp.vec3):
 
 
 @functools.cache
-def make_ambient_visibility_traced_kernel(codec: tuple, grouped: bool):
+def make_ambient_visibility_traced_kernel(codec: tuple):
     """Kernel that traces rays from every pixel's surface.
 
     Args:
         codec: Arguments of `make_gbuffer_codec`.
-        grouped: Instances stand in worlds: a view that sees one world meets that group and the shared one.
     """
     decode = make_gbuffer_codec(*codec)[1]
-
-    @wp.func
-    def group_blocks(mesh: wp.uint64, world: wp.int32, start: wp.vec3, direction: wp.vec3, reach: wp.float32):
-        root = wp.mesh_get_group_root(mesh, world + 1)
-        # No such group: -1, which a query would take for everything.
-        if root < 0:
-            return wp.bool(False)
-        return wp.mesh_query_ray_anyhit(mesh, start, direction, reach, root)
-
-    @wp.func
-    def blocked(mesh: wp.uint64, world: wp.int32, start: wp.vec3, direction: wp.vec3, reach: wp.float32):
-        if wp.static(grouped):
-            if world >= 0:
-                if group_blocks(mesh, -1, start, direction, reach):
-                    return wp.bool(True)
-                return group_blocks(mesh, world, start, direction, reach)
-        return wp.mesh_query_ray_anyhit(mesh, start, direction, reach)
+    # Both sides block, and alpha masks are taken for solid: as depth in the picture knows neither.
+    blocked = make_blocked("none", False)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def ambient_visibility_traced_kernel(
@@ -99,8 +84,7 @@ def make_ambient_visibility_traced_kernel(codec: tuple, grouped: bool):
         views: wp.array[View],
         blocks: wp.array[wp.vec4i],
         # Scene
-        mesh: wp.uint64,
-        anchor: wp.vec3d,
+        rays: RayScene,
         # In
         gbuffer: GBuffer,
         directions: wp.array[wp.vec4],
@@ -123,11 +107,9 @@ def make_ambient_visibility_traced_kernel(codec: tuple, grouped: bool):
         depth = gbuffer.depth[i]
         n = decode(gbuffer, i).normal
         point = relative_position(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, depth)
-        eye = view.origin - anchor
-        start = point + wp.vec3(wp.float32(eye[0]), wp.float32(eye[1]), wp.float32(eye[2]))
-        start += n * (bias * radius + POSITION_ERROR * wp.length(point))
+        start = point + n * (bias * radius + POSITION_ERROR * wp.length(point))
         # The background, and whatever is not finite: nothing is known to block.
-        if mesh == wp.uint64(0) or not (wp.isfinite(depth) and wp.isfinite(wp.dot(start, start)) and wp.isfinite(n)):
+        if not (wp.isfinite(depth) and wp.isfinite(wp.dot(start, start)) and wp.isfinite(n)):
             out_visibility[i] = 1.0
             return
         angle = wp.float32(pixel_hash(x, y)) * TURN
@@ -138,7 +120,7 @@ def make_ambient_visibility_traced_kernel(codec: tuple, grouped: bool):
         for k in range(directions.shape[0]):
             d = load_vec4(directions, k)
             u, v = d[0] * cosine - d[1] * sine, d[0] * sine + d[1] * cosine
-            if blocked(mesh, view.world, start, tangent * u + across * v + n * d[2], radius):
+            if blocked(rays, view.origin, start, tangent * u + across * v + n * d[2], radius, view.world):
                 hits += 1
         visibility = 1.0 - wp.float32(hits) / wp.float32(directions.shape[0])
         out_visibility[i] = final_visibility(visibility, power)

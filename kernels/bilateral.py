@@ -1,23 +1,24 @@
-"""Edge-aware averages of visibility words (see ambient_visibility.py): a 5 x 5 blur in two passes, and a doubling of
-size.
+"""Edge-aware averages of occlusion words (see ambient_visibility.py), a tile of pixels a block.
 
-**Blur.** Weights 1/2 1 1 1 1/2 along rows, then columns: any 4 x 4 neighbours count alike, so a pattern that repeats
-every 4 pixels averages out. A neighbour counts by how far its affine depth (linear across a plane, whatever its tilt)
-lies from the line through the pixel, whose slope is the smaller of the two differences to its direct neighbours: 1 on
-the line, 0 at the tolerance. The tolerance is a share of the radius, since visibility varies over lengths of the
+**Narrow blur.** Weights 1/2 1 1 1 1/2 along rows, then columns: any 4 x 4 neighbours count alike, so a pattern that
+repeats every 4 pixels averages out. A neighbour counts by how far its affine depth (linear across a plane, whatever its
+tilt) lies from the line through the pixel, whose slope is the smaller of the two differences to its direct neighbours:
+1 on the line, 0 at the tolerance. The tolerance is a share of the radius, since visibility varies over lengths of the
 radius.
 
-Where the radius covers many pixels, samples lie far apart and thin things leave streaks. There a wide blur follows,
-with the same weights for every third pixel, which again meets all of the 4 x 4 pattern alike (3 and 4 have no common
-factor). It counts a neighbour less the more its visibility differs, so that streaks go and the dark foot of a small
-thing stays.
+**Wide blur.** Where the radius covers many pixels, samples lie far apart and thin things leave streaks. There the same
+weights follow for every third pixel, which again meets all of the 4 x 4 pattern alike (3 and 4 have no common factor).
+A neighbour counts less the more its visibility differs, so that streaks go and the dark foot of a small thing stays.
 
-**Upsampling.** A pixel takes the bilinear weights of its up to four half-size neighbours times how near their points
-lie to the plane through its point across its normal (after Kopf et al. 2007, "Joint Bilateral Upsampling").
+A block of 64 lanes has 16 x 16 pixels of the full image, or 8 x 8 of the half-size one, which is a raster bin either
+way. It stages them and what lies around them as words in shared memory, then what blurring their rows makes of them;
+where no word is darkened, that is all. The CPU, where a block is one lane, reads the image instead, and blurs the rows
+anew for each pixel. The low bits of a word's depth are its code: 3e-5 of the depth, far below the tolerance.
+Deterministic; arithmetic is + - * and fused multiply-adds, the same bits on all devices.
 
-Block size 64, one thread a pixel; deterministic. At 1920 x 1080 a blur pass moves 8 bytes a pixel, 17 MB, 4 us at 4.2
-TB/s. Arithmetic: about 200 instructions a pixel, 14 us at 29.6 T/s, among them two divisions; a third of that where all
-five visibilities are the same.
+Cost at 1920 x 1080: each blur moves 8 bytes a pixel, 17 MB, 4 us at 4.2 TB/s. For a pixel of the full image the narrow
+blur takes 1.56 loads, 1.25 averages along rows and one along columns, the wide one 3.06, 1.75 and one; an average is
+about 75 instructions, a wide one 90.
 """
 
 from __future__ import annotations
@@ -26,11 +27,22 @@ import functools
 
 import warp as wp
 
-from .ambient_visibility import DEPTH_MASK, OPEN_WORD, half_index, point_in_view
-from .encoding import make_gbuffer_codec
-from .intrinsics import bits_float, load_float, load_vec4i, load_word
-from .projection import pixel_block, pixel_in_block, pixel_index
-from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, GBuffer, View
+from .ambient_visibility import CODE_MASK, DEPTH_MASK, OPEN_WORD, half_index
+from .intrinsics import (
+    bits_float,
+    block_any,
+    block_is_lane,
+    block_sync,
+    float_bits,
+    fma,
+    fnma,
+    load_vec4i,
+    load_word_or,
+    saturated_fma,
+    shared_single,
+)
+from .projection import pixel_block, pixel_index
+from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -38,13 +50,17 @@ BLOCK_DIM = 64
 #: Radius on the screen from which a wide blur follows the narrow one [px]: twice its own footprint.
 WIDE_PX = wp.constant(26.0)
 #: A wide blur counts nothing whose visibility lies 1 / 8 away, for codes in 255ths.
-SHARP = wp.constant(8.0 / 255.0)
+SHARP = wp.constant(-8.0 / 255.0)
 #: Distance from the line or plane, as a share of the radius, at which a neighbour no longer counts.
 TOLERANCE = wp.constant(0.15)
-#: What a neighbour counts for that lies on another surface: it decides only where all do.
-STRANGER = wp.constant(1.0e-4)
-#: Codecs of the G-buffer: what CI compiles.
-VARIANTS = [(("compact", "oct24", True),), (("full", "float32", True),)]
+#: Bits of 2^23, whose low ones hold a whole number that is added.
+WHOLE_BITS = wp.constant(wp.uint32(0x4B000000))
+#: Words from one staged row to the next: two rows of 16 meet different banks.
+PITCH = wp.constant(48)
+#: First staged word of what blurring the rows makes.
+ROWS = wp.constant(1344)
+#: (half, wide): what CI compiles.
+VARIANTS = [(False, False), (False, True), (True, False), (True, True)]
 
 
 @wp.func
@@ -54,27 +70,34 @@ def word_depth(word: wp.uint32):
 
 
 @wp.func
-def word_code(word: wp.uint32):
-    """Visibility of a word in 255ths."""
-    return wp.float32(wp.int32(word & wp.uint32(255)))
-
-
-@wp.func
 def word_visibility(word: wp.uint32):
-    """Visibility of a word."""
-    # A constant multiplication; exact for codes 0 and 255.
-    return word_code(word) * (1.0 / 255.0)
+    """Visibility of a word; exactly 1 for code 0 and 0 for code 255."""
+    return 1.0 - wp.float32(wp.int32(word & CODE_MASK)) * (1.0 / 255.0)
 
 
 @wp.func
 def final_visibility(visibility: wp.float32, power: wp.float32):
     """Visibility to a power; exact for powers 0 and 1, where no library function is called."""
-    v = wp.min(visibility, 1.0)
+    v = wp.clamp(visibility, 0.0, 1.0)
     if power == 1.0:
         return v
     if power == 0.0:
         return wp.float32(1.0)
     return wp.pow(v, power)
+
+
+@wp.func
+def rough_reciprocal(x: wp.float32):
+    """1 / x within 3e-4 for x from 1e-37 to 1e37, by two Newton steps; x = 0 gives infinity."""
+    y = bits_float(wp.uint32(0x7EF311C7) - float_bits(x))
+    y = y * fnma(x, y, 2.0)
+    return y * fnma(x, y, 2.0)
+
+
+@wp.func
+def whole_code(word: wp.uint32):
+    """2^23 and the code of a word: differences are exact, and a sum is rounded to a code in its low bits."""
+    return bits_float((word & CODE_MASK) | WHOLE_BITS)
 
 
 @wp.func
@@ -86,76 +109,12 @@ def smaller_slope(before: wp.float32, after: wp.float32):
 
 
 @wp.func
-def add_neighbour(
-    sums: wp.vec2,
-    word: wp.uint32,
-    line: wp.float32,
-    tightness: wp.float32,
-    share: wp.float32,
-    own: wp.float32,
-    sharp: wp.float32,
-):
-    """(weighted difference of codes, weight) after one more neighbour; `line` is a flat surface's affine depth.
-
-    A neighbour counts nothing 1 / tightness or more off the line, nor where its code lies 1 / sharp or more from the
-    pixel's `own`; sharp 0: always.
-    """
-    near = 1.0 - wp.abs(word_depth(word) - line) * tightness
-    # Also false for the background, and where something is not finite.
-    if near > 0.0:
-        difference = word_code(word) - own
-        weight = share * near * wp.max(1.0 - sharp * wp.abs(difference), 0.0)
-        return sums + wp.vec2(weight * difference, weight)
-    return sums
-
-
-@wp.func
-def blurred(
-    view: View,
-    words: wp.array[wp.uint32],
-    i: wp.int32,
-    centre: wp.uint32,
-    pitch: wp.int32,
-    at: wp.int32,
-    count: wp.int32,
-    step: wp.int32,
-    radius: wp.float32,
-):
-    """Code of the visibility averaged along a line of pixels, `pitch` words apart; word i, `centre`, is the at-th.
-
-    Every step-th pixel is met; from a step above 1 on, visibility has to be like the pixel's own.
-    """
-    # Outside the image stands the background, which counts for nothing.
-    b2, b1, f1, f2 = OPEN_WORD, OPEN_WORD, OPEN_WORD, OPEN_WORD
-    stride = step * pitch
-    if at >= step:
-        b1 = load_word(words, i - stride)
-    if at >= 2 * step:
-        b2 = load_word(words, i - 2 * stride)
-    if at + step < count:
-        f1 = load_word(words, i + stride)
-    if at + 2 * step < count:
-        f2 = load_word(words, i + 2 * stride)
-    # An average of equals needs no weights: open surfaces end here.
-    apart = (b2 ^ centre) | (b1 ^ centre) | (f1 ^ centre) | (f2 ^ centre)
-    v = word_code(centre)
-    if (apart & wp.uint32(255)) == wp.uint32(0):
-        return v
-    a = word_depth(centre)
-    slope = smaller_slope(a - word_depth(b1), word_depth(f1) - a)
-    tolerance = TOLERANCE * radius
-    if view.projection != ORTHOGRAPHIC:
-        # d(1/z) = dz / z^2.
-        tolerance = tolerance * a * a
-    tightness = 1.0 / tolerance
-    sharp = wp.where(step > 1, SHARP, 0.0)
-    # Differences from the pixel's own: an average of equals is exact.
-    sums = wp.vec2(0.0, 1.0)
-    sums = add_neighbour(sums, b2, a - 2.0 * slope, tightness, 0.5, v, sharp)
-    sums = add_neighbour(sums, b1, a - slope, tightness, 1.0, v, sharp)
-    sums = add_neighbour(sums, f1, a + slope, tightness, 1.0, v, sharp)
-    sums = add_neighbour(sums, f2, a + 2.0 * slope, tightness, 0.5, v, sharp)
-    return v + sums[0] / sums[1]
+def tolerance_of(view: View, affine: wp.float32, radius: wp.float32):
+    """Difference of affine depths at which a neighbour no longer counts."""
+    if view.projection == ORTHOGRAPHIC:
+        return TOLERANCE * radius
+    # d(1/z) = dz / z^2.
+    return TOLERANCE * radius * affine * affine
 
 
 @wp.func
@@ -166,172 +125,157 @@ def is_narrow(view: View, affine: wp.float32, radius: wp.float32):
     return radius * affine * view.scale[0] < WIDE_PX
 
 
-@wp.kernel(grid_stride=False)
-def blur_words_kernel(
-    # Frame
-    views: wp.array[View],
-    tiles: wp.array[wp.vec4i],
-    # In
-    words: wp.array[wp.uint32],
-    # Params
-    radius: wp.float32,
-    columns: wp.int32,
-    wide: wp.int32,
-    half: wp.int32,
-    first: wp.int32,
-    # Out
-    out_words: wp.array[wp.uint32],
-):
-    """Blur along rows (columns = 0) or columns (1), of the full image over 8 x 8 blocks or the half one over bins.
-
-    A wide blur takes every third pixel and leaves alone what has a small radius.
-    """
-    thread = wp.tid() + first
-    tile = load_vec4i(tiles, pixel_block(thread))
-    view = views[tile[0]]
-    place = pixel_in_block(thread)
-    x, y = (tile[1] >> half) + place[0], (tile[2] >> half) + place[1]
-    width, height = (view.width + half) >> half, (view.height + half) >> half
-    if x >= width or y >= height or view.depth_only != 0:
-        return
-    i, pitch = pixel_index(view, x, y), wp.int32(view.row_pitch)
-    if half != 0:
-        i, pitch = half_index(view, x, y), view.bins_x * 8
-    centre = load_word(words, i)
-    step = wp.int32(1 + 2 * wide)
-    if centre == OPEN_WORD or (wide != 0 and is_narrow(view, word_depth(centre), radius)):
-        out_words[i] = centre
-        return
-    # One call for rows and columns: two would be two copies of everything.
-    at, count = wp.int32(x), wp.int32(width)
-    if columns != 0:
-        at, count = wp.int32(y), wp.int32(height)
-    else:
-        pitch = 1
-    code = blurred(view, words, i, centre, pitch, at, count, step, radius)
-    out_words[i] = (centre & DEPTH_MASK) | wp.uint32(wp.int32(code + 0.5))
-
-
-@wp.kernel(grid_stride=False)
-def blur_final_kernel(
-    # Frame
-    views: wp.array[View],
-    blocks: wp.array[wp.vec4i],
-    # In
-    words: wp.array[wp.uint32],
-    # Params
-    radius: wp.float32,
-    power: wp.float32,
-    first: wp.int32,
-    # Out
-    out_visibility: wp.array[wp.float32],
-):
-    """Wide blur along columns of the full image, and finish: visibility in [0, 1], 1 on the background."""
-    thread = wp.tid() + first
-    block = load_vec4i(blocks, pixel_block(thread))
-    view = views[block[0]]
-    place = pixel_in_block(thread)
-    x, y = block[1] + place[0], block[2] + place[1]
-    if x >= view.width or y >= view.height:
-        return
-    i = pixel_index(view, x, y)
-    centre = load_word(words, i)
-    code = word_code(centre)
-    if centre != OPEN_WORD and not is_narrow(view, word_depth(centre), radius):
-        code = blurred(view, words, i, centre, view.row_pitch, y, view.height, 3, radius)
-    out_visibility[i] = final_visibility(code * (1.0 / 255.0), power)
-
-
 @functools.cache
-def make_upsample_kernel(codec: tuple):
-    """Kernel that doubles the size of a half-size image of words.
+def make_blur_kernel(half: bool, wide: bool):
+    """Kernel that blurs an image of words, narrowly or widely.
 
     Args:
-        codec: Arguments of `make_gbuffer_codec`.
+        half: Blur the half-size image.
+        wide: Blur widely. Of the full image this is the end, visibility in [0, 1], 1 on the background.
     """
-    decode = make_gbuffer_codec(*codec)[1]
+    side, step = 8 if half else 16, 3 if wide else 1
+    reach, staged, final = 2 * step, side + 4 * step, wide and not half
+    written = wp.float32 if final else wp.uint32
 
     @wp.func
-    def add_point(
-        view: View,
-        word: wp.uint32,
-        share: wp.float32,
-        across: wp.float32,
-        plane: wp.vec2,
-        tightness: wp.float32,
-        sums: wp.vec2,
+    def add_neighbour(
+        sums: wp.vec2, word: wp.uint32, line: wp.float32, tolerance: wp.float32, share: float, own: wp.float32
     ):
-        """(weighted visibility, weight) after a half-size pixel.
+        """(weighted difference of codes, weight) after one more neighbour; `line` is a flat surface's affine depth."""
+        difference = whole_code(word) - own
+        # The maximum is 0 for the background and whatever is not finite.
+        weight = share * wp.max(tolerance - wp.abs(bits_float(word) - line), 0.0)
+        if wp.static(wide):
+            weight = weight * saturated_fma(wp.abs(difference), SHARP, 1.0)
+        return wp.vec2(fma(weight, difference, sums[0]), sums[1] + weight)
 
-        across is the normal's x and y parts times the pixel's x / depth and y / depth (orthographic: x and y); plane is
-        the normal's z and the plane's offset.
-        """
-        if share == 0.0:
-            return sums
-        weight = STRANGER * share
-        if word != OPEN_WORD:
-            affine = word_depth(word)
-            height = across - plane[0] * affine
-            if view.projection != ORTHOGRAPHIC:
-                height = (across - plane[0]) * (1.0 / affine)
-            near = 1.0 - wp.abs(height - plane[1]) * tightness
-            if near > 0.0:
-                weight += share * near
-        return sums + wp.vec2(weight * word_visibility(word), weight)
+    @wp.func
+    def average(
+        view: View, b2: wp.uint32, b1: wp.uint32, centre: wp.uint32, f1: wp.uint32, f2: wp.uint32, radius: wp.float32
+    ):
+        """What a pixel's code differs by from its average with two before and two after it along a row or column."""
+        # An average of equals is itself: open surfaces end here.
+        apart = (b2 ^ centre) | (b1 ^ centre) | (f1 ^ centre) | (f2 ^ centre)
+        a = bits_float(centre)
+        still = centre == OPEN_WORD or (apart & CODE_MASK) == wp.uint32(0)
+        if wp.static(wide):
+            still = still or is_narrow(view, a, radius)
+        if still:
+            return wp.float32(0.0)
+        own = whole_code(centre)
+        slope = smaller_slope(a - bits_float(b1), bits_float(f1) - a)
+        tolerance = tolerance_of(view, a, radius)
+        sums = wp.vec2(0.0, tolerance)
+        sums = add_neighbour(sums, b2, a - (slope + slope), tolerance, 0.5, own)
+        sums = add_neighbour(sums, b1, a - slope, tolerance, 1.0, own)
+        sums = add_neighbour(sums, f1, a + slope, tolerance, 1.0, own)
+        sums = add_neighbour(sums, f2, a + (slope + slope), tolerance, 0.5, own)
+        change = sums[0] * rough_reciprocal(sums[1])
+        # Depths whose squares leave float32 give a NaN, whose bits differ between devices.
+        return wp.where(wp.abs(change) <= 255.0, change, 0.0)
+
+    @wp.func
+    def word_at(view: View, words: wp.array[wp.uint32], x: wp.int32, y: wp.int32):
+        """Word of a pixel; outside the image stands the background."""
+        width, height = wp.int32(view.width), wp.int32(view.height)
+        i = pixel_index(view, x, y)
+        if wp.static(half):
+            width, height = (width + 1) >> 1, (height + 1) >> 1
+            i = half_index(view, x, y)
+        inside = wp.uint32(x) < wp.uint32(width) and wp.uint32(y) < wp.uint32(height)
+        return load_word_or(words, i, inside, OPEN_WORD)
+
+    @wp.func
+    def tap(view: View, words: wp.array[wp.uint32], corner: wp.vec2i, x: wp.int32, y: wp.int32):
+        """Word (x, y) of the staged ones."""
+        word = wp.uint32(0)
+        if block_is_lane():
+            word = word_at(view, words, corner[0] + x, corner[1] + y)
+        return shared_single(False, y * PITCH + x, word)
+
+    @wp.func
+    def row_word(
+        view: View, words: wp.array[wp.uint32], corner: wp.vec2i, x: wp.int32, y: wp.int32, radius: wp.float32
+    ):
+        """Word blurred along its row; x = 0 is the tile's first column, y = 0 the first staged row."""
+        b2, b1 = tap(view, words, corner, x, y), tap(view, words, corner, x + wp.static(step), y)
+        centre = tap(view, words, corner, x + wp.static(2 * step), y)
+        f1 = tap(view, words, corner, x + wp.static(3 * step), y)
+        f2 = tap(view, words, corner, x + wp.static(4 * step), y)
+        code = whole_code(centre) + average(view, b2, b1, centre, f1, f2, radius)
+        return (centre & DEPTH_MASK) | (float_bits(code) & CODE_MASK)
+
+    @wp.func
+    def row_tap(view: View, words: wp.array[wp.uint32], corner: wp.vec2i, x: wp.int32, y: wp.int32, radius: wp.float32):
+        """`row_word` of what the block has made already."""
+        word = wp.uint32(0)
+        if block_is_lane():
+            word = row_word(view, words, corner, x, y, radius)
+        return shared_single(False, ROWS + y * wp.static(side) + x, word)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
-    def upsample_kernel(
+    def blur_kernel(
         # Frame
         views: wp.array[View],
-        blocks: wp.array[wp.vec4i],
+        bin_tiles: wp.array[wp.vec4i],
         # In
-        gbuffer: GBuffer,
         words: wp.array[wp.uint32],
         # Params
         radius: wp.float32,
         power: wp.float32,
         first: wp.int32,
         # Out
-        out_visibility: wp.array[wp.float32],
+        out_values: wp.array[written],
     ):
         thread = wp.tid() + first
-        block = load_vec4i(blocks, pixel_block(thread))
-        view = views[block[0]]
-        place = pixel_in_block(thread)
-        x, y = block[1] + place[0], block[2] + place[1]
-        if x >= view.width or y >= view.height:
+        lane = thread & (BLOCK_DIM - 1)
+        tile = load_vec4i(bin_tiles, pixel_block(thread))
+        view = views[tile[0]]
+        # The same for the whole block; no lane leaves before all have staged.
+        if view.depth_only != 0:
             return
-        i = pixel_index(view, x, y)
-        d = load_float(gbuffer.depth, i)
-        if not wp.isfinite(d):
-            out_visibility[i] = 1.0
-            return
-        # Half-size pixel k is pixel 2 k: an odd pixel stands midway between two, if there are two.
-        pitch, k = view.bins_x * 8, half_index(view, x >> 1, y >> 1)
-        right = wp.where((x & 1) != 0 and x + 1 < view.width, 1, 0)
-        below = wp.where((y & 1) != 0 and y + 1 < view.height, 1, 0)
-        w00, w10 = load_word(words, k), load_word(words, k + right)
-        w01, w11 = load_word(words, k + below * pitch), load_word(words, k + below * pitch + right)
-        v = word_visibility(w00)
-        # As in the blur: an average of equals needs no weights.
-        if (((w10 ^ w00) | (w01 ^ w00) | (w11 ^ w00)) & wp.uint32(255)) != wp.uint32(0):
-            inverse = wp.vec2(1.0 / view.scale[0], 1.0 / view.scale[1])
-            n = view.rotation * decode(gbuffer, i).normal
-            point = point_in_view(view, wp.float32(x) + 0.5, wp.float32(y) + 0.5, d, inverse)
-            plane = wp.vec2(n[2], wp.dot(n, point))
-            tx, ty = n[0] * inverse[0], n[1] * inverse[1]
-            px, py = wp.float32(x & -2) + 0.5 - view.center[0], wp.float32(y & -2) + 0.5 - view.center[1]
-            left, up = tx * px, ty * py
-            rim, foot = tx * (px + 2.0), ty * (py + 2.0)
-            sx, sy = 0.5 * wp.float32(right), 0.5 * wp.float32(below)
-            # A depth's 16 bits are no nearer than this.
-            tightness = 1.0 / (TOLERANCE * radius + 2.0e-4 * wp.abs(d))
-            sums = wp.vec2(0.0, 0.0)
-            sums = add_point(view, w00, (1.0 - sx) * (1.0 - sy), left + up, plane, tightness, sums)
-            sums = add_point(view, w10, sx * (1.0 - sy), rim + up, plane, tightness, sums)
-            sums = add_point(view, w01, (1.0 - sx) * sy, left + foot, plane, tightness, sums)
-            sums = add_point(view, w11, sx * sy, rim + foot, plane, tightness, sums)
-            v = sums[0] / sums[1]
-        out_visibility[i] = final_visibility(v, power)
+        corner = wp.vec2i(tile[1] - wp.static(reach), tile[2] - wp.static(reach))
+        width, height = wp.int32(view.width), wp.int32(view.height)
+        if wp.static(half):
+            corner = wp.vec2i((tile[1] >> 1) - wp.static(reach), (tile[2] >> 1) - wp.static(reach))
+            width, height = (width + 1) >> 1, (height + 1) >> 1
+        dark = wp.bool(True)
+        if not block_is_lane():
+            column, codes = lane & 31, wp.uint32(0)
+            if column < wp.static(staged):
+                for row in range(lane >> 5, wp.static(staged), 2):
+                    word = word_at(view, words, corner[0] + column, corner[1] + row)
+                    shared_single(True, row * PITCH + column, word)
+                    codes = codes | word
+            dark = block_any((codes & CODE_MASK) != wp.uint32(0))
+            if dark:
+                for k in range(lane, wp.static(staged * side), BLOCK_DIM):
+                    x, y = k & wp.static(side - 1), k // wp.static(side)
+                    shared_single(True, ROWS + k, row_word(view, words, corner, x, y, radius))
+                block_sync()
+        for j in range(wp.static(side * side // BLOCK_DIM)):
+            k = lane + j * BLOCK_DIM
+            x, y = k & wp.static(side - 1), k // wp.static(side)
+            px, py = corner[0] + wp.static(reach) + x, corner[1] + wp.static(reach) + y
+            if px < width and py < height:
+                i = pixel_index(view, px, py)
+                if wp.static(half):
+                    i = half_index(view, px, py)
+                word, change = wp.uint32(0), wp.float32(0.0)
+                if dark:
+                    b2 = row_tap(view, words, corner, x, y, radius)
+                    b1 = row_tap(view, words, corner, x, y + wp.static(step), radius)
+                    word = row_tap(view, words, corner, x, y + wp.static(2 * step), radius)
+                    f1 = row_tap(view, words, corner, x, y + wp.static(3 * step), radius)
+                    f2 = row_tap(view, words, corner, x, y + wp.static(4 * step), radius)
+                    change = average(view, b2, b1, word, f1, f2, radius)
+                else:
+                    word = tap(view, words, corner, x + wp.static(reach), y + wp.static(reach))
+                if wp.static(final):
+                    code = wp.float32(wp.int32(word & CODE_MASK)) + change
+                    out_values[i] = written(final_visibility(1.0 - code * (1.0 / 255.0), power))
+                else:
+                    code = whole_code(word) + change
+                    out_values[i] = written((word & DEPTH_MASK) | (float_bits(code) & CODE_MASK))
 
-    return upsample_kernel
+    return blur_kernel

@@ -12,7 +12,7 @@ import functools
 
 import warp as wp
 
-from .bloom import bright_part, exposed
+from .bloom_bright import bright_of
 from .intrinsics import load_vec4i, unpack_half3
 from .projection import pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, View
@@ -42,6 +42,36 @@ def folded(i: wp.int32, count: wp.int32):
     if j >= count:
         j = 2 * count - 1 - j
     return j
+
+
+@wp.func
+def blurred(
+    values: wp.array[wp.vec3],
+    g: Gaussian,
+    weights: wp.array[wp.float32],
+    start: wp.int32,
+    step: wp.int32,
+    at: wp.int32,
+    count: wp.int32,
+):
+    """Sum of a line of pixels, mirrored, under a Gaussian around one of them.
+
+    Args:
+        values: The picture.
+        g: The Gaussian.
+        weights: Weights of all Gaussians.
+        start: Index of the line's first pixel.
+        step: What leads from one to the next.
+        at: Pixel of the line.
+        count: Pixels of the line.
+    """
+    total = wp.vec3()
+    # From outside inwards: small terms first.
+    for k in range(g.radius):
+        d = g.radius - k
+        pair = values[start + folded(at - d, count) * step] + values[start + folded(at + d, count) * step]
+        total += pair * weights[g.first + d]
+    return total + values[start + at * step] * weights[g.first]
 
 
 @functools.cache
@@ -75,9 +105,9 @@ def make_bright_pixels_kernel(half: bool):
             return
         i = pixel_index(view, x, y)
         if wp.static(half):
-            out_bright[i] = bright_part(exposed(unpack_half3(radiance[i]), view.exposure), bloom)
+            out_bright[i] = bright_of(unpack_half3(radiance[i]), view.exposure, bloom)
         else:
-            out_bright[i] = bright_part(exposed(color[i], view.exposure), bloom)
+            out_bright[i] = bright_of(color[i], view.exposure, bloom)
 
     return bright_pixels_kernel
 
@@ -108,13 +138,7 @@ def blur_rows_kernel(
     if x >= view.width or y >= view.height or view.bloom <= 0.0 or g.share <= 0.0:
         return
     row = pixel_index(view, 0, y)
-    total = wp.vec3()
-    # From outside inwards: small terms first.
-    for k in range(g.radius):
-        d = g.radius - k
-        pair = bright[row + folded(x - d, view.width)] + bright[row + folded(x + d, view.width)]
-        total += pair * weights[g.first + d]
-    out_rows[row + x] = total + bright[row + x] * weights[g.first]
+    out_rows[row + x] = blurred(bright, g, weights, row, 1, x, view.width)
 
 
 @wp.kernel(grid_stride=False)
@@ -142,14 +166,8 @@ def blur_columns_kernel(
     g = gaussians[block[0] * per_view + index]
     if x >= view.width or y >= view.height or view.bloom <= 0.0 or g.share <= 0.0:
         return
-    total = wp.vec3()
-    for k in range(g.radius):
-        d = g.radius - k
-        above = pixel_index(view, x, folded(y - d, view.height))
-        below = pixel_index(view, x, folded(y + d, view.height))
-        total += (rows[above] + rows[below]) * weights[g.first + d]
+    total = blurred(rows, g, weights, pixel_index(view, x, 0), view.row_pitch, y, view.height) * g.share
     i = pixel_index(view, x, y)
-    total = (total + rows[i] * weights[g.first]) * g.share
     if index > 0:
         total += out_bloom[i]
     out_bloom[i] = total

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from .intrinsics import load_vec4
 from .structs import (
     CULL_BACK,
     CULL_NONE,
@@ -30,6 +31,9 @@ from .structs import (
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 128
+#: Rows of a depth-only view's bounds: planes (normal, distance), then an upright box (x, y, half side, nearest depth).
+BOUND_PLANES = wp.constant(18)
+BOUND_ROWS = wp.constant(19)
 
 
 @wp.func
@@ -281,6 +285,18 @@ def classify_sphere(view: View, center: wp.vec3, radius: wp.float32):
     return 1
 
 
+@wp.func
+def bounded_away(bounds: wp.array[wp.vec4], first: wp.int32, center: wp.vec3, radius: wp.float32):
+    """Whether a sphere, in the axes right, up, depth of a view, lies behind one of its planes or inside its box."""
+    for k in range(BOUND_PLANES):
+        p = load_vec4(bounds, first + k)
+        if p[0] * center[0] + p[1] * center[1] + p[2] * center[2] + p[3] < -radius:
+            return True
+    box = load_vec4(bounds, first + BOUND_PLANES)
+    aside = wp.max(wp.abs(center[0] - box[0]), wp.abs(center[1] - box[1]))
+    return aside + radius < box[2] and center[2] - radius > box[3]
+
+
 @wp.kernel
 def cull_clusters_kernel(
     # Frame
@@ -289,10 +305,16 @@ def cull_clusters_kernel(
     geometry: Geometry,
     # In
     pairs: wp.array[Pair],
+    bounds: wp.array[wp.vec4],
+    # Params
+    first_bounded: wp.int32,
     # Out
     out_work: WorkList,
 ):
-    """Keep the clusters each view may see; append them to the plain or the careful end of the work list."""
+    """Keep the clusters each view may see; append them to the plain or the careful end of the work list.
+
+    Views from `first_bounded` on have BOUND_ROWS rows of `bounds` each, where that has any.
+    """
     v, j = wp.tid()
     view = views[v]
     if view.skipped != 0 or j >= view.shared_clusters + view.own_cluster_count:
@@ -310,11 +332,15 @@ def cull_clusters_kernel(
     center = pair.matrix * (cluster.center - pair.anchor) + pair.offset
     # 1e-4 of the radius and 4e-6 of the distance cover the rounding of centre, matrix and vertices.
     spread = wp.length(cluster.center - pair.anchor) * pair.radius_scale
-    distance = wp.abs(center[2]) + wp.abs(center[0] / view.scale[0]) + wp.abs(center[1] / view.scale[1])
+    x, y = center[0] / view.scale[0], center[1] / view.scale[1]
+    distance = wp.abs(center[2]) + wp.abs(x) + wp.abs(y)
     radius = cluster.radius * pair.radius_scale * 1.0001 + 4.0e-6 * (spread + distance)
     kind = classify_sphere(view, center, radius)
     if kind == 0 or faces_away(pair, view, cluster, (flags & FLAG_TWO_SIDED) != 0):
         return
+    if v >= first_bounded and bounds.shape[0] > 1:
+        if bounded_away(bounds, (v - first_bounded) * BOUND_ROWS, wp.vec3(x, y, center[2]), radius):
+            return
     entry = wp.vec2i(p, slot[1])
     if kind == 2 or (flags & FLAG_MASKED) != 0:
         place = wp.atomic_add(out_work.counts, 1, 1)

@@ -7,15 +7,15 @@ surface.
 
 Texel (X, Y) of level k is pixel (X << k) + half, (Y << k) + half with half = 1 << (k - 1); +inf where that pixel is
 outside the view. All levels of a view lie side by side in one rectangle, W = 16 `bins_x` wide and half as high: level k
-begins W - (W >> (k - 1)) texels to the right. Two bytes a pixel in all. Block size 64, one thread a texel of level 1;
-deterministic, every texel has one writer.
+begins W - (W >> (k - 1)) texels to the right. Two bytes a pixel in all. Block size 64, one thread a texel of level 1
+and at most one other; deterministic, every texel has one writer.
 """
 
 from __future__ import annotations
 
 import warp as wp
 
-from .intrinsics import load_vec4i
+from .intrinsics import load_either, load_vec4i
 from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import View
 
@@ -29,18 +29,32 @@ BIN_WORDS = 128
 
 
 @wp.func
-def pyramid_index(view: View, level: wp.int32, x: wp.int32, y: wp.int32):
-    """Index of the texel of a level, 1 to LEVELS, that covers pixel (x, y)."""
-    pitch = view.bins_x << 4
-    return (view.bin_offset << 7) + (y >> level) * pitch + pitch - (pitch >> (level - 1)) + (x >> level)
+def level_start(view: View, level: wp.int32):
+    """Index of the texel of a level, 1 to LEVELS, that covers pixel (0, 0)."""
+    # The level below is twice as wide: no level 0 is asked for a shift by -1.
+    return (view.bin_offset << 7) + (view.bins_x << 4) - ((view.bins_x << 5) >> level)
 
 
 @wp.func
-def depth_or_infinity(view: View, depth: wp.array[wp.float32], x: wp.int32, y: wp.int32):
-    """Depth of a pixel, +inf outside the view."""
-    if x >= view.width or y >= view.height:
-        return wp.float32(wp.inf)
-    return depth[pixel_index(view, x, y)]
+def pyramid_index(view: View, level: wp.int32, x: wp.int32, y: wp.int32):
+    """Index of the texel of a level, 1 to LEVELS, that covers pixel (x, y)."""
+    return level_start(view, level) + (y >> level) * (view.bins_x << 4) + (x >> level)
+
+
+@wp.func
+def fill_texel(
+    view: View,
+    depth: wp.array[wp.float32],
+    level: wp.int32,
+    x: wp.int32,
+    y: wp.int32,
+    out_pyramid: wp.array[wp.float32],
+):
+    """Write the texel of a level that covers pixel (x, y), a multiple of its size."""
+    half = (1 << level) >> 1
+    inside = x + half < view.width and y + half < view.height
+    index = pixel_index(view, x + half, y + half)
+    out_pyramid[pyramid_index(view, level, x, y)] = load_either(depth, depth, False, index, inside)
 
 
 @wp.kernel(grid_stride=False)
@@ -62,10 +76,11 @@ def fill_pyramid_kernel(
     view = views[tile[0]]
     if view.depth_only != 0:
         return
-    x, y = tile[1] + 2 * place[0], tile[2] + 2 * place[1]
-    both = place[0] | place[1]
-    for level in range(1, LEVELS + 1):
-        # Level k has a texel for every (1 << (k - 1))-th thread a side.
-        if (both & ((1 << (level - 1)) - 1)) == 0:
-            half = 1 << (level - 1)
-            out_pyramid[pyramid_index(view, level, x, y)] = depth_or_infinity(view, depth, x + half, y + half)
+    fill_texel(view, depth, 1, tile[1] + 2 * place[0], tile[2] + 2 * place[1], out_pyramid)
+    # The other levels of a bin have 16, 4 and 1 texels, for 21 of the 64 threads.
+    lane = thread & (BLOCK_DIM - 1)
+    if lane < 21:
+        level = 2 + wp.where(lane >= 16, 1, 0) + wp.where(lane >= 20, 1, 0)
+        last = (16 >> level) - 1
+        x, y = (lane & last) << level, ((lane >> (4 - level)) & last) << level
+        fill_texel(view, depth, level, tile[1] + x, tile[2] + y, out_pyramid)

@@ -11,7 +11,7 @@ import functools
 import warp as wp
 
 from .color import CURVES, clamp_radiance, srgb_code, tone_curve
-from .intrinsics import unpack_half3
+from .intrinsics import load_double_word, unpack_half3
 from .projection import pixel_index, pixel_of
 from .structs import MODULE_OPTIONS, Bloom, View
 
@@ -43,7 +43,8 @@ def make_scatter(bloom: str):
             return v
 
         return nothing
-    from .bloom import bilinear, bright_part, exposed
+    from .bloom import MOST, bilinear
+    from .bloom_bright import bright_of
 
     @wp.func
     def scatter(v: wp.vec3, value: wp.vec3, view: View, index: wp.int32, place: wp.vec2i, i: wp.int32, source: Bloom):
@@ -52,11 +53,14 @@ def make_scatter(bloom: str):
             return v
         gained = wp.vec3()
         if wp.static(bloom == "full"):
-            gained = source.full[i]
+            gained = source.full[i] * share
         else:
-            gained = bilinear(source.texels, source.levels[index * source.level_count], place[0], place[1])
-        lost = bright_part(exposed(value, view.exposure), source)
-        return clamp_radiance((v - lost * share) + gained * share)
+            level = source.levels[index * source.level_count]
+            gained = bilinear(source.texels, level, place[0], place[1]) * (share * (1.0 / 16.0))
+        lost = bright_of(value, view.exposure, source)
+        # All is finite here, so that bounds are two operations and no branch.
+        mixed = (v - lost * share) + gained
+        return wp.max(wp.min(mixed, wp.vec3(MOST)), wp.vec3())
 
     return scatter
 
@@ -95,7 +99,7 @@ def make_display_kernel(curve: str, half: bool, bloom: str):
         i = pixel_index(view, x, y)
         value = wp.vec3()
         if wp.static(half):
-            value = unpack_half3(radiance[i])
+            value = unpack_half3(load_double_word(radiance, i))
         else:
             value = color[i]
         v = clamp_radiance(value * view.exposure)

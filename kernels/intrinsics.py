@@ -24,6 +24,45 @@ def bits_float(bits: wp.uint32) -> wp.float32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __fmaf_rn(a, b, c);
+#else
+    return __builtin_fmaf(a, b, c);
+#endif
+""")
+def fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Product and sum, a b + c, rounded once: one instruction on CUDA, not two, and the same bits on every device."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __fmaf_rn(-a, b, c);
+#else
+    return __builtin_fmaf(-a, b, c);
+#endif
+""")
+def fnma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """Difference c - a b, as `fma`; Warp's own minus sign is a subtraction from 0, one instruction more."""
+    ...
+
+
+@wp.func_native("""
+    float value;
+#if defined(__CUDA_ARCH__)
+    asm("fma.rn.sat.f32 %0, %1, %2, %3;" : "=f"(value) : "f"(a), "f"(b), "f"(c));
+#else
+    value = __builtin_fmaf(a, b, c);
+    value = value > 0.0f ? (value < 1.0f ? value : 1.0f) : 0.0f;
+#endif
+    return value;
+""")
+def saturated_fma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
+    """`fma` clamped to [0, 1], NaN to 0, at no cost on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     return __ffs(bits) - 1;
 #else
     return __builtin_ctz(bits);
@@ -66,15 +105,35 @@ def load_float(values: wp.array[wp.float32], index: wp.int32) -> wp.float32:
     ...
 
 
+@wp.func_native("return present ? (second ? others.data : values.data)[index] : INFINITY;")
+def load_either(
+    values: wp.array[wp.float32], others: wp.array[wp.float32], second: wp.bool, index: wp.int32, present: wp.bool
+) -> wp.float32:
+    """Load a float of one of two arrays as `load_float` does; +inf, without an access, where it is not present."""
+    ...
+
+
 @wp.func_native("return values.data[index];")
 def load_word(values: wp.array[wp.uint32], index: wp.int32) -> wp.uint32:
     """Load a word of a dense array by an index >= 0, as `load_float` does."""
     ...
 
 
+@wp.func_native("return present ? values.data[index] : otherwise;")
+def load_word_or(values: wp.array[wp.uint32], index: wp.int32, present: wp.bool, otherwise: wp.uint32) -> wp.uint32:
+    """`load_word`, or another word, without an access, where it is not present."""
+    ...
+
+
 @wp.func_native("return values.data[index];")
 def load_double_word(values: wp.array[wp.uint64], index: wp.int32) -> wp.uint64:
     """Load a double word of a dense array by an index >= 0, as `load_float` does."""
+    ...
+
+
+@wp.func_native("values.data[index] = word;")
+def store_double_word(values: wp.array[wp.uint64], index: wp.int32, word: wp.uint64):
+    """Store a double word into a dense array at an index >= 0."""
     ...
 
 
@@ -102,11 +161,18 @@ def pack_half4(r: wp.float32, g: wp.float32, b: wp.float32) -> wp.uint64:
 
 
 @wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    float r, g, b;
+    asm("{.reg .b32 lo, hi; .reg .b16 x, y, z, w; mov.b64 {lo, hi}, %3; mov.b32 {x, y}, lo; mov.b32 {z, w}, hi;"
+        "cvt.f32.f16 %0, x; cvt.f32.f16 %1, y; cvt.f32.f16 %2, z;}" : "=f"(r), "=f"(g), "=f"(b) : "l"(word));
+    return wp::vec_t<3, wp::float32>(r, g, b);
+#else
     wp::half x, y, z;
     x.u = static_cast<unsigned short>(word);
     y.u = static_cast<unsigned short>(word >> 16);
     z.u = static_cast<unsigned short>(word >> 32);
     return wp::vec_t<3, wp::float32>(wp::float32(x), wp::float32(y), wp::float32(z));
+#endif
 """)
 def unpack_half3(word: wp.uint64) -> wp.vec3:
     """First three components of a half4."""
@@ -222,7 +288,31 @@ def block_width() -> wp.int32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ int4 words[1280];
+    return false;
+#else
+    return true;
+#endif
+""")
+def block_is_lane() -> wp.bool:
+    """Whether blocks have one lane, as `block_width` tells, but known to the compiler: the other branch is left out."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __syncthreads_or(value) != 0;
+#else
+    return value;
+#endif
+""")
+def block_any(value: wp.bool) -> wp.bool:
+    """Whether the value is true in any lane of the block; every lane must arrive, as for `block_sync`."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ int4 words[320];
     if (storing) {
         words[index] = make_int4(value[0], value[1], value[2], value[3]);
         return value;
@@ -236,31 +326,27 @@ def block_width() -> wp.int32:
 #endif
 """)
 def shared_words(scratch: wp.array[wp.vec4i], storing: wp.bool, index: wp.int32, value: wp.vec4i) -> wp.vec4i:
-    """Store to, or read from, 20 KiB of memory that the block's lanes share; sync between the two.
+    """Store to, or read from, 5 KiB of memory that the block's lanes share; sync between the two.
 
-    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 1280 elements.
+    The CPU, where a block is one lane, uses `scratch` instead, an array of at least 320 elements.
     """
     ...
 
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ float4 pixels[324];
+    __shared__ unsigned int staged[1792];
     if (storing) {
-        pixels[index] = make_float4(value[0], value[1], value[2], value[3]);
+        staged[index] = value;
         return value;
     }
-    const float4 v = pixels[index];
-    return wp::vec_t<4, wp::float32>(v.x, v.y, v.z, v.w);
+    return staged[index];
 #else
     return value;
 #endif
 """)
-def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
-    """Store to, or read from, 18 x 18 pixels, 5184 bytes, that the block's lanes share; sync between the two.
-
-    The CPU, where a block is one lane, shares nothing: there it returns `value`, which the caller has to compute.
-    """
+def shared_single(storing: wp.bool, index: wp.int32, value: wp.uint32) -> wp.uint32:
+    """Store to, or read from, 1792 words, 7 KiB, that the block's lanes share; else as `shared_pixels`."""
     ...
 
 
@@ -276,6 +362,20 @@ def shared_pixels(storing: wp.bool, index: wp.int32, value: wp.vec4) -> wp.vec4:
 """)
 def weigh_bytes(word: wp.uint32, weights: wp.uint32) -> wp.int32:
     """Sum of the four bytes of a word, each times a byte of another one; one instruction on CUDA."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return static_cast<int>(__dp4a(word, weights, static_cast<unsigned int>(sum)));
+#else
+    for (int shift = 0; shift < 32; shift += 8)
+        sum += static_cast<int>((word >> shift) & 255u) * static_cast<int>((weights >> shift) & 255u);
+    return sum;
+#endif
+""")
+def add_weighed(word: wp.uint32, weights: wp.uint32, sum: wp.int32) -> wp.int32:
+    """Add the four bytes of a word, each times a byte of another one, to a sum >= 0; one instruction on CUDA."""
     ...
 
 

@@ -252,11 +252,17 @@ def shutter_views_kernel(
     # Out
     out_old: wp.array[View],
     out_views: wp.array[View],
+    out_middle: wp.array[View],
 ):
-    """One thread a view: its pose at the sample's time; the last row keeps the frame's for the next."""
+    """One thread a view: its pose at the sample's time, with the sample's jitter and without; the last row keeps the
+    frame's for the next.
+    """
     v = wp.tid()
     sample = samples[wp.min(counter[0], samples.shape[0] - 1)]
-    now, view = uploaded[v], out_views[v]
+    # One by one: as a tuple they would be references, and changing one would change the array.
+    now = uploaded[v]
+    view = out_views[v]
+    middle = uploaded[v]
     t = 1.0 - now.shutter * sample.time
     if known[0] != 0 and t < 1.0:
         old = out_old[v]
@@ -264,6 +270,9 @@ def shutter_views_kernel(
             view.origin = old.origin + (now.origin - old.origin) * wp.float64(t)
             view.rotation = turn_between(old.rotation, now.rotation, t)
             out_views[v] = view
+            middle.origin = view.origin
+            middle.rotation = view.rotation
+    out_middle[v] = middle
     if sample.weight == 0.0:
         out_old[v] = now
 

@@ -51,8 +51,10 @@ from .structs import (
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 128
-#: Bounding boxes of up to this many pixels are drawn by their lane.
+#: Bounding boxes of up to this many pixels are drawn by their lane: in views that keep ids, and in shadow maps, whose
+#: fragments cost less.
 SMALL_AREA_PX = 128
+SMALL_DEPTH_PX = 192
 #: The plain kernel is worth eight blocks a multiprocessor; the careful one needs its registers.
 PLAIN_BOUNDS = (128, 8)
 #: (careful, masked, depth_views, behind): what CI compiles.
@@ -73,12 +75,16 @@ def make_emit(depth_views: bool, behind: bool):
     draw_small, draw_direct = make_draw(depth_views, behind)
 
     @wp.func
-    def classify(target: RasterTarget, t: LargeTriangle, box: wp.vec4i):
+    def classify(view: View, target: RasterTarget, t: LargeTriangle, box: wp.vec4i):
         wide, tall = box[2] - box[0] + 1, box[3] - box[1] + 1
         if t.id == ALL_BITS or wide <= 0 or tall <= 0:
             return 0
         if fits_32_bits(t):
-            if wide * tall <= wp.static(SMALL_AREA_PX) or (block_width() == 1 and target.large.shape[0] == 0):
+            small = wp.int32(wp.static(SMALL_AREA_PX))
+            if wp.static(depth_views):
+                if view.depth_only != 0:
+                    small = wp.int32(wp.static(SMALL_DEPTH_PX))
+            if wide * tall <= small or (block_width() == 1 and target.large.shape[0] == 0):
                 return 1
         return 2
 
@@ -127,7 +133,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
     @wp.func
     def draw_single(view: View, target: RasterTarget, t: LargeTriangle):
         box = pixel_box(view, t)
-        kind = classify(target, t, box)
+        kind = classify(view, target, t, box)
         if kind != 0 and (kind == 1 or not store_large(target, t, box)):
             draw_alone(view, target, t, box)
 
@@ -150,7 +156,8 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
             wp.int64(edge_threshold(a1, b1)),
             wp.int64(edge_threshold(a2, b2)),
         )
-        area = wp.float32(wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0]))
+        area = wp.int64(b2) * wp.int64(t.p2[1] - t.p0[1]) + wp.int64(a2) * wp.int64(t.p2[0] - t.p0[0])
+        inverse = 1.0 / wp.float32(area)
         for py in range(box[1], box[3] + 1):
             y = py * 256 + 128
             for px in range(box[0], box[2] + 1):
@@ -159,7 +166,7 @@ def make_raster_kernel(careful: bool, masked: bool, depth_views: bool, behind: b
                 e1 = wp.int64(a1) * wp.int64(x - t.p2[0]) + wp.int64(b1) * wp.int64(y - t.p2[1])
                 e2 = wp.int64(a2) * wp.int64(x - t.p0[0]) + wp.int64(b2) * wp.int64(y - t.p0[1])
                 if e0 >= l0 and e1 >= l1 and e2 >= l2:
-                    z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), area, t.z))
+                    z = accept_depth(view, fragment_depth(wp.float32(e0), wp.float32(e1), wp.float32(e2), inverse, t.z))
                     if z >= 0.0 and keep_fragment(view, pair, geometry, material, v, px, py):
                         write_fragment(view, target, pixel_index(view, px, py), z, t.id, True)
 

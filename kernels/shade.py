@@ -32,6 +32,9 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 BLOCK_DIM = 64
 #: Blocks a multiprocessor holds at least: fewer registers than the lobe would like, but more warps that wait at once.
 BOUNDS = (64, 18)
+#: The same where shadow maps are looked up by a short filter, whose fetches want registers.
+MAP_BOUNDS = (64, 16)
+MAP_RUNGS = ("hard", "pcf")
 OUTPUTS = ("color", "diffuse", "specular", "light_count", "bright")
 #: (codec, models, kinds, polynomial, emissive, outputs, visible, shadow): what CI compiles.
 VARIANTS = [
@@ -122,8 +125,8 @@ def make_shade_kernel(
                 if out.bright[0] == 0:
                     out.bright[0] = 1
 
-    # A shadow look-up has more to keep than the bounds leave room for; spilling it would cost more than waiting.
-    bounds = BOUNDS if shadow is None else None
+    # The longer look-ups have more to keep than bounds leave room for; spilling it would cost more than waiting.
+    bounds = BOUNDS if shadow is None else MAP_BOUNDS if shadow[0] in MAP_RUNGS else None
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=bounds)
     def shade_kernel(

@@ -24,6 +24,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
 SQRT_2 = wp.constant(1.4142135)
+#: Share of the coordinates that rounding may take where something must be behind everything.
+BEHIND_SLACK = wp.constant(wp.float32(1.0e-5))
+#: A cascade's depth reaches to the end of the scene where that is no more than so many radii away.
+FAR_RADII = wp.constant(wp.float32(4.0))
 
 
 @wp.struct
@@ -36,7 +40,7 @@ class ShadowParams:
     distance: wp.float32  # depth up to which directional lights cast [m], inf: as far as the scene reaches
     split_blend: wp.float32
     tangent: wp.float32  # of a directional light's angular radius
-    keep: wp.int32  # 1: keep what need not be drawn anew
+    keep: wp.int32  # 1: keep maps from frame to frame; 0: from sample to sample alone
 
 
 @wp.func
@@ -199,7 +203,26 @@ def local_view(view: View, source: LightSource, light: wp.int32, kind: wp.int32,
 
 
 @wp.func
-def cascade_view(view: View, camera: View, direction: wp.vec3, part: wp.int32, extent: wp.vec2, params: ShadowParams):
+def deepest(view: View, bounds: wp.array[wp.float32], slack: wp.float32):
+    """Depth of the deepest corner of the scene's box in an orthographic map, and `slack` times its rounding [m]."""
+    low, high = wp.vec3(bounds[0], bounds[1], bounds[2]), wp.vec3(-bounds[3], -bounds[4], -bounds[5])
+    half = (high - low) * 0.5
+    middle = to_single(widen(view.rotation) * (to_double((low + high) * 0.5) - view.origin))
+    r = view.rotation
+    reach = wp.abs(r[2, 0]) * half[0] + wp.abs(r[2, 1]) * half[1] + wp.abs(r[2, 2]) * half[2]
+    return reach - middle[2] + slack * BEHIND_SLACK * (wp.length(low) + wp.length(high))
+
+
+@wp.func
+def cascade_view(
+    view: View,
+    camera: View,
+    direction: wp.vec3,
+    part: wp.int32,
+    extent: wp.vec2,
+    bounds: wp.array[wp.float32],
+    params: ShadowParams,
+):
     """View of one cascade, its origin on the grid of its own texels."""
     near = split_depth(extent[0], extent[1], part, params.cascades, params.split_blend)
     far = split_depth(extent[0], extent[1], part + 1, params.cascades, params.split_blend)
@@ -219,6 +242,10 @@ def cascade_view(view: View, camera: View, direction: wp.vec3, part: wp.int32, e
     for k in range(3):
         place[k] = wp.floor(place[k] / step) * step
     result.origin = wp.transpose(rotation) * place
+    # Where the map reaches behind all there is, coarser ones need not hold what it holds (shadow_bounds.py).
+    end = deepest(result, bounds, 2.0)
+    if end <= FAR_RADII * sphere[3]:
+        result.far = wp.max(result.far, end)
     return result
 
 
@@ -242,6 +269,7 @@ def place_slots_kernel(
     source: LightSource,
     slots: wp.array[wp.vec4i],
     bounds: wp.array[wp.float32],
+    counter: wp.array[wp.int32],
     # Params
     params: ShadowParams,
     # Out
@@ -260,11 +288,12 @@ def place_slots_kernel(
     eye = wp.vec3d()
     if usable(source, light):
         if kind == SLOT_CASCADE:
-            # As uploaded, not as a sample moves it: else each sample would have maps of its own.
+            # Not as a sample moves it within pixel and lens: else each sample would have maps of its own.
             camera = cameras[slot[3]]
             extent = extent_of(camera, bounds, params.distance)
             if extent[0] < extent[1]:
-                result = cascade_view(view, camera, wp.normalize(source.direction[light]), part, extent, params)
+                direction = wp.normalize(source.direction[light])
+                result = cascade_view(view, camera, direction, part, extent, bounds, params)
                 state = wp.int32(1)
                 size = params.tangent
                 eye = widen(result.rotation) * (out_views[slot[3]].origin - result.origin)
@@ -272,7 +301,7 @@ def place_slots_kernel(
             result = local_view(view, source, light, kind, part, params.border)
             state = wp.int32(1)
             size = source.source_radius[light]
-    if state == 1 and params.keep != 0 and same_view(result, view):
+    if state == 1 and (params.keep != 0 or counter[0] > 0) and same_view(result, view):
         state = wp.int32(0)
     if state == -1:
         # No slot that is drawn has such planes: once its light is back, its view is another one.

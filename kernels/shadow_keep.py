@@ -2,9 +2,9 @@
 
 All on the device, since lights and transforms may live there. A map is kept where its view is the same to the bit and
 no instance that moved touches its volume, neither where it was nor where it is now; a mesh with bound points counts as
-one that moves everywhere. What is kept is neither cleared nor
-drawn; since drawing it again would give the same bits, keeping never shows. A number that is not finite counts as a
-move. Block size 128.
+one that moves everywhere, once a frame. What is kept is neither cleared nor drawn; since drawing it again would give
+the same bits, keeping never shows. A number that is not finite counts as a move. Where a frame takes several samples
+a pixel, all this happens in each: what the shutter moves is drawn anew, the rest once. Block size 128.
 """
 
 from __future__ import annotations
@@ -42,13 +42,15 @@ def note_moves_kernel(
     # In
     before: wp.array[Transform],
     bound: wp.array[wp.int32],
+    counter: wp.array[wp.int32],
     # Out
     out_moved: wp.array[wp.int32],
 ):
-    """Mark the instances that moved since the last frame, 2 where points did; the last element: whether any moved."""
+    """Mark the instances that moved since the last frame or sample, 2 where points did; last: whether any moved."""
     i = wp.tid()
     moved = wp.where(same_transform(geometry.transforms[i], before[i]), 0, 1)
-    if bound[i] != 0:
+    # Points are the same for all samples of a frame.
+    if bound[i] != 0 and counter[0] == 0:
         moved = wp.int32(2)
     out_moved[i] = moved
     if moved != 0:

@@ -322,6 +322,7 @@ class BloomLevel:
     edge_x: wp.int32  # twice the place of the picture's right edge [texel], rounded: what lies beyond is mirrored there
     edge_y: wp.int32
     wider: wp.float32  # share of the wider levels in what this one hands on; 0: there are none
+    last: wp.int32  # row of the view's widest level
 
 
 @wp.struct

@@ -23,8 +23,21 @@ from warp_deferred.program import Program
 from warp_deferred.resources import Resources
 from warp_deferred.views import ViewLayout, ViewPacker, ViewSize
 
-__all__ = ["KEEP", "Blooming", "bloom_of", "gaussians_of", "shown"]
+__all__ = [
+    "KEEP",
+    "RUNGS",
+    "Blooming",
+    "bloom_of",
+    "gaussians_of",
+    "lamps",
+    "noise",
+    "request_of",
+    "rung",
+    "shown",
+]
 
+#: Rungs, cheapest first.
+RUNGS = ("neighbourhood", "mip_chain", "exact")
 #: All light scatters, linearly.
 KEEP = ("bloom.threshold=0", "bloom.fireflies=0")
 
@@ -70,7 +83,16 @@ class Blooming:
     """The bloom pass over float32 images of any sizes, one a view; `run` does what a frame does."""
 
     def __init__(
-        self, images, *changes, shares=1.0, exposures=0.0, device="cpu", threads=1, bright=1, half=False
+        self,
+        images,
+        *changes,
+        shares=1.0,
+        exposures=0.0,
+        device="cpu",
+        threads=1,
+        bright=1,
+        half=False,
+        together=None,
     ) -> None:
         images = [np.asarray(image, np.float32) for image in images]
         self.sizes = tuple(ViewSize(image.shape[1], image.shape[0]) for image in images)
@@ -78,6 +100,7 @@ class Blooming:
         self.layout = ViewLayout(self.sizes, 16)
         self.stage = BloomPass().bound(self.request, self.layout)
         self.stage.source = "radiance" if half else "color"
+        self.stage.together = together
         program = Program(wp.get_device(device), threads)
         scene = SimpleNamespace(device=wp.get_device(device))
         self.resources = Resources.make(scene, None, self.layout, program)
@@ -158,3 +181,27 @@ def gaussians_of(height: int, *changes: str) -> tuple[np.ndarray, np.ndarray]:
     settings = wd.Settings().with_values(list(changes)).bloom
     count = level_count(height, settings.radius)
     return weights(count, settings.falloff), np.array([spread(k + 1) for k in range(count)])
+
+
+def rung(name: str) -> str:
+    """Return the setting of a rung."""
+    return f"bloom.rung={name}"
+
+
+def lamps(width: int, height: int, seed: int = 3) -> np.ndarray:
+    """Return a dark picture with round lamps of many sizes, a thin tube and lone bright pixels."""
+    rng = np.random.default_rng(seed)
+    image = rng.uniform(0.0, 0.2, (height, width, 3))
+    y, x = np.mgrid[0:height, 0:width]
+    for _ in range(6):
+        cx, cy, r = rng.uniform(0, width), rng.uniform(0, height), rng.uniform(1.0, 6.0)
+        image[(x - cx) ** 2 + (y - cy) ** 2 < r * r] = rng.uniform(2.0, 12.0, 3)
+    image[height // 3, width // 5 : width // 2] = (6.0, 0.5, 3.0)
+    for _ in range(5):
+        image[rng.integers(height), rng.integers(width)] = rng.uniform(5.0, 40.0, 3)
+    return image.astype(np.float32)
+
+
+def noise(width: int, height: int, seed: int = 1) -> np.ndarray:
+    """Return a picture of noise."""
+    return np.random.default_rng(seed).uniform(0.0, 4.0, (height, width, 3)).astype(np.float32)

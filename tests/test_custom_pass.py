@@ -195,3 +195,67 @@ def test_channels_that_do_not_fit_are_refused(given, message):
 def test_passes_that_do_not_fit_are_refused(passes, message):
     with pytest.raises(wd.InputError, match=message):
         renderer_of(passes=passes)
+
+
+def order_of(scene, passes, rung):
+    """Names of the passes between shading and display, those that open and close samples left out."""
+    settings = wd.Settings().with_values([f"anti_aliasing.rung={rung}"])
+    renderer = renderer_of(outputs=("display",), scene=scene, passes=passes, settings=settings)
+    renderer.prepare()
+    names = [stage.name for stage in renderer.plan.passes if stage.name not in ("accumulate", "average")]
+    return names[names.index("shade") + 1 :]
+
+
+LENS = ["motion", "depth_of_field", "motion_blur"]
+
+
+@pytest.mark.parametrize(
+    ("after", "scope", "expected"),
+    [
+        ("shade", "sample", ["gain", *LENS, "bloom", "display"]),
+        ("shade", "frame_end", [*LENS, "gain", "bloom", "display"]),
+        ("resolve", "frame_end", ["gain", *LENS, "bloom", "display"]),
+        ("depth_of_field", "sample", [*LENS[:2], "gain", LENS[2], "bloom", "display"]),
+        ("depth_of_field", "frame_end", [*LENS[:2], "gain", LENS[2], "bloom", "display"]),
+        ("blur", "sample", [*LENS, "gain", "bloom", "display"]),
+        ("shade", "frame_start", ["gain", *LENS, "bloom", "display"]),
+    ],
+)
+def test_the_order_does_not_depend_on_the_number_of_samples(after, scope, expected):
+    scene = gallery()
+    scene.camera = scene.camera.replace(aperture=0.3, shutter=0.5, bloom=0.1)
+    scene.animate = lambda scene, time: None
+    passes = [Scale(2.0, after=after), Scale(0.5, "follower", "gain")]
+    passes[0].scope = scope
+    place = expected.index("gain") + 1
+    expected = [*expected[:place], "follower", *expected[place:]]
+    for rung in ("off", "samples_4"):
+        assert order_of(scene, passes, rung) == expected, rung
+
+
+@wp.kernel
+def square_kernel(image: wp.array[wp.vec3], factor: wp.float32, out_image: wp.array[wp.vec3]):
+    i = wp.tid()
+    out_image[i] = wp.cw_mul(image[i], image[i]) * factor
+
+
+class Square(Scale):
+    kernel = square_kernel
+
+
+def test_one_sample_and_several_see_the_same_image(device):
+    scene = gallery(lights=False)
+    for k, instance in enumerate(scene.instances):
+        glow = (9.0 * (k % 2), 0.5, 0.25)
+        instance.material = wd.Material(model="lambert", base_color=(0, 0, 0, 1.0), emissive=glow, name=str(k))
+    scene.camera = scene.camera.replace(aperture=0.4, focus_distance=2.0)
+
+    def color(after, rung):
+        settings = wd.Settings().with_values([f"anti_aliasing.rung={rung}"])
+        passes = [Square(0.1, after=after)]
+        return images(renderer_of(device, ("color",), scene, passes=passes, settings=settings).render())["color"]
+
+    sharp, blurred = color("shade", "off"), color("depth_of_field", "off")
+    apart = np.mean(np.abs(sharp - blurred))
+    for expected, after in ((sharp, "shade"), (blurred, "depth_of_field")):
+        assert np.mean(np.abs(color(after, "samples_16") - expected)) < 0.25 * apart, after

@@ -249,6 +249,11 @@ class DeviceScene:
         self._arrays["transforms"] = g.transforms
         self._transform_table = np.zeros(max(len(instances), 1), np.dtype(structs.Transform.numpy_dtype()))
 
+    @property
+    def ray_bytes(self) -> int:
+        """Device memory of the trees for rays; 0 where nobody asked for them."""
+        return self._rays.bytes if self._rays is not None else 0
+
     def rays(self) -> RayScene:
         """Trees for rays, made when they are first asked for."""
         if self._rays is None:

@@ -156,9 +156,13 @@ class ShadowSettings(Record):
     cull: Literal["none", "back", "front"] = "none"
     """Faces that cast no shadow; none: either side of a surface stops light, back: faster where meshes are closed."""
     keep_maps: bool = True
-    """Whether a map stays from frame to frame while neither its view nor a caster in it moves; no pixel differs."""
-    samples: int = Field(256, ge=1, le=4096)
-    """Rays a pixel and light of the rung ray_traced; the standard error is 0.5 / sqrt(samples) at most."""
+    """Whether a map stays from frame to frame while neither its view nor a caster in it moves; no pixel differs. From
+    sample to sample of one frame it stays in any case."""
+    samples: int = Field(256, ge=1, le=2048)
+    """Places on a light's disc that rung ray_traced looks at from each pixel; where neighbours see differently, 16 more
+    between them. On a straight edge the root mean square error is at most 0.001 for 256, 0.003 for 64, 0.01 for 16;
+    where the edge runs along the lattice, 31.7 degrees off the disc's axes, three times that. Time grows in proportion:
+    1.4 rays a sample where a light is wholly seen or hidden, twice that in a penumbra."""
 
 
 class BlurSettings(Record):

@@ -12,7 +12,7 @@ import importlib
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from .sampling import lens_samples, pixel_samples, shutter_samples
+from .sampling import lens_samples, pixel_samples, sample_count, shutter_samples
 from .shadow_slots import beyond_capacity
 
 if TYPE_CHECKING:
@@ -95,7 +95,24 @@ def _shadow(request: Request) -> Verdict:
         return Verdict(False, "no lit output asked for")
     left = beyond_capacity(request.features.casters, request.settings.shadow)
     reason = f"{count} light{'s cast' if count > 1 else ' casts'} shadows"
-    return Verdict(True, reason + f"; {left} past the capacity, without" * (left > 0))
+    reason += f"; {left} past the capacity, without" * (left > 0)
+    if request.settings.shadow.rung != "ray_traced" and sample_count(request) > 1:
+        moving = shutter_samples(request) > 1
+        reason += "; samples draw anew what the shutter moves" if moving else "; samples share the maps"
+    return Verdict(True, reason)
+
+
+def _ray_scene(request: Request) -> Verdict:
+    tracing = [
+        f"{name}.rung is ray_traced"
+        for name in ("shadow", "ambient_visibility")
+        if getattr(request.settings, name).rung == "ray_traced" and called_for(request, name)
+    ]
+    return Verdict(bool(tracing), " and ".join(tracing) or "nothing traces rays")
+
+
+def _ray_instances(request: Request) -> Verdict:
+    return Verdict(_ray_scene(request).runs and shutter_samples(request) > 1, "the shutter moves instances")
 
 
 def _depth_of_field(request: Request) -> Verdict:
@@ -172,6 +189,8 @@ EFFECTS: tuple[Effect, ...] = (
     Effect("ambient_visibility", "resolve", _ambient_visibility),
     Effect("start_samples", "", _sampled, "sampling", quiet=True),
     Effect("begin_sample", "", _sampled, "sampling", quiet=True),
+    Effect("ray_scene", "", _ray_scene, quiet=True),
+    Effect("ray_instances", "", _ray_instances, "ray_scene", quiet=True),
     Effect("shadow", "", _shadow),
     Effect("shutter_samples", "begin_sample", _shutter_samples, "motion_blur", quiet=True),
     Effect("lens_samples", "begin_sample", _lens_samples, "depth_of_field", quiet=True),

@@ -65,6 +65,8 @@ class Explanation:
             f"{plan.resources.scene.instance_count:,} instances, {len(scene.lights):,} lights",
             f"buffers {_size(plan.bytes)} beside the scene's {_size(plan.resources.scene.bytes)}",
         ]
+        if rays := plan.resources.scene.ray_bytes:
+            notes.append(f"trees for rays {_size(rays)}")
         if sizes[0].shown_width:
             notes.append(f"rendered at {sizes[0].width}x{sizes[0].height} and scaled up")
         if (bands := _mask_bands(plan)) > 1:
@@ -117,6 +119,7 @@ class MemoryReport:
         outputs: Bytes of the outputs.
         tables: Bytes of tables, views and lights.
         scene: Bytes of geometry, materials and textures.
+        rays: Bytes of the trees that rays are traced against, Warp's own nodes included.
         mask_bands: Bands of tiles that the light masks come in; the mask buffers hold one. 0 without masks.
     """
 
@@ -125,6 +128,7 @@ class MemoryReport:
     outputs: int
     tables: int
     scene: int
+    rays: int
     mask_bands: int
 
     @classmethod
@@ -135,7 +139,8 @@ class MemoryReport:
             sum(t.capacity for t in (r.blocks, r.tiles, r.coarse_tiles, r.bin_tiles)) + r.frame.bytes + r.lights.bytes
         )
         outputs = sum(a.capacity if a.capacity else a.size * 4 for a in (r.channels[n] for n in plan.outputs))
-        return cls(dict(plan.memory), plan.arena.capacity, outputs, tables, scene.bytes, _mask_bands(plan))
+        own = dict(plan.memory), plan.arena.capacity, outputs, tables
+        return cls(*own, scene.bytes, scene.ray_bytes, _mask_bands(plan))
 
     @property
     def total(self) -> int:
@@ -150,7 +155,7 @@ class MemoryReport:
         rows = [[name + held.get(name, ""), _size(size)] for name, size in ordered]
         rows += [["transient buffers share", _size(self.shared)], ["outputs", _size(self.outputs)]]
         rows += [["tables, views, lights", _size(self.tables)], ["beside the scene", _size(self.total)]]
-        rows += [["scene", _size(self.scene)]]
+        rows += [["scene", _size(self.scene)]] + [["trees for rays", _size(self.rays)]] * (self.rays > 0)
         return _table("device memory", [("buffer", "left"), ("bytes", "right")], rows)
 
     def to_dict(self) -> dict[str, Any]:

@@ -320,6 +320,9 @@ class Renderer:
                 self._lights[key] = LightStore(*key, self.device)
             return self._lights[key]
 
+        if self.scene.transforms is not None:
+            # Trees for rays are cut by where instances stand when they are made.
+            self._device_scene.stage_transforms(self.scene.transforms)
         while len(self._plans) >= MAX_PLANS:
             self._plans.pop(next(iter(self._plans)))
         self._plans[request] = Plan(request, self._device_scene, lights, progress)

@@ -27,6 +27,7 @@ class FrameBlock:
         values: Frame values.
         bright: One int32 that kernels set once bloom has work; the copy itself sets it back to 0.
         sampling: Whether the pass that is being built runs once a sample; then `views` are those of the sample.
+        middle: Cameras' views at the sample's time, before jitter and lens moved them: what maps are fitted to.
     """
 
     RING_BYTES = 1 << 19
@@ -51,6 +52,7 @@ class FrameBlock:
         self.bright = wp.array(ptr=self._block.ptr + flag_offset, dtype=wp.int32, shape=(1,), device=device, copy=False)
         self._moved: wp.array | None = None
         self.sampling = False
+        self.middle = self.uploaded
         pinned = device.is_cuda
         # One pinned allocation for all slots: enough that a host far ahead of the device still does not wait.
         slots = min(1024, max(4, self.RING_BYTES // self.size)) if pinned else 1
@@ -69,11 +71,16 @@ class FrameBlock:
     @property
     def bytes(self) -> int:
         """Device memory held."""
-        return self.size + (self._moved.capacity if self._moved is not None else 0)
+        own = [array for array in (self._moved, self.middle) if array is not None and array is not self.uploaded]
+        return self.size + sum(array.capacity for array in own)
 
     def split(self) -> None:
         """Give the sample part views of its own."""
         self._moved = wp.zeros_like(self.uploaded)
+
+    def move_middle(self) -> None:
+        """Give the sample part cameras' views that move with time alone."""
+        self.middle = wp.zeros(self._first_slot, dtype=structs.View, device=self.device)
 
     def begin(self) -> memoryview:
         """Return the host memory of the next block, waiting if the device still reads it."""

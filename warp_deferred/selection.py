@@ -95,7 +95,7 @@ def _frame(request: Request, layout: ViewLayout, core: Sequence[type[Pass]]) -> 
             _insert(entries, entry)
     for given in request.passes:
         entry = _entry(given.bound(request, layout))
-        _insert(entries, dataclasses.replace(entry, after=given.after, asked=True))
+        _insert_own(entries, dataclasses.replace(entry, after=given.after, asked=True))
     return entries
 
 
@@ -104,17 +104,40 @@ def _entry(stage: Pass) -> _Entry:
     return _Entry(stage.name, reason or stage.why_not(), stage if reason else None)
 
 
-def _insert(entries: list[_Entry], entry: _Entry) -> None:
-    """Put an entry behind the pass it names, and behind what was put there before and does not run in a later part.
+def _insert_own(entries: list[_Entry], entry: _Entry) -> None:
+    """Put a user's own pass behind the pass it names, in the part of the frame it says, but no earlier part than that.
 
-    So passes come in the same order whether a frame takes one sample a pixel or several.
+    Which part a pass belongs to is known from its place, be it called for or not, and in frames of one sample as well:
+    so passes come in the same order whether a frame takes one sample a pixel or several.
     """
+    names = [e.name for e in entries]
+    named, average = names.index(entry.after), names.index("average")
+    if entry.stage is not None:
+        other, scope = entries[named], entry.stage.scope
+        begins = other.name in ("points", "start_samples") or getattr(other.stage, "scope", "") == "frame_start"
+        if named >= average:
+            scope = "frame_end"
+        elif scope == "frame_start" and not begins:
+            scope = "sample"
+        # A user's pass may be a frozen dataclass.
+        object.__setattr__(entry.stage, "scope", scope)
+    place = _place(entries, entry)
+    late = entry.stage is not None and entry.stage.scope == "frame_end"
+    entries.insert(max(place, average + 1) if late else place, entry)
+
+
+def _insert(entries: list[_Entry], entry: _Entry) -> None:
+    entries.insert(_place(entries, entry), entry)
+
+
+def _place(entries: list[_Entry], entry: _Entry) -> int:
+    """Where to put an entry: behind the pass it names and what was put there before and runs in no later part."""
     place = next((k + 1 for k, e in enumerate(entries) if e.name == entry.after), len(entries) if entry.after else 0)
     passed = {entry.after}
     while place < len(entries) and entries[place].after in passed and not _later(entries[place], entry):
         passed.add(entries[place].name)
         place += 1
-    entries.insert(place, entry)
+    return place
 
 
 def _later(one: _Entry, other: _Entry) -> bool:

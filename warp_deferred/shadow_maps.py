@@ -16,6 +16,7 @@ from .kernels import structs
 from .passes.base import Request
 from .program import FIRST
 from .resources import Resources
+from .sampling import sample_count
 
 __all__ = [
     "BORDERS", "clear_maps", "keeps_maps", "light_tangent", "make_shadows", "shadow_arguments", "shadow_channels",
@@ -29,7 +30,7 @@ def shadow_channels(request: Request) -> list[str]:
     """Channels that shading reads to look shadows up."""
     if not called_for(request, "shadow"):
         return []
-    names = ["shadow_first", "shadow_rows", "shadow_tiles"]
+    names = ["shadow_first", "shadow_rows", "shadow_tiles"] + ["rays"] * (request.settings.shadow.rung == "ray_traced")
     return names + ["depth_keys"] * (request.shadow_slots > 0 and request.candidates > 0)
 
 
@@ -51,12 +52,9 @@ def make_shadows(resources: Resources, request: Request) -> Any:
     if shadow_channels(request) and request.settings.shadow.rung == "ray_traced":
         from .kernels.shadow_rays import ShadowRays
 
-        rays, scene = ShadowRays(), resources.scene
-        trees = scene.rays()
+        rays = ShadowRays()
         rays.first, rays.source = resources.channels["shadow_first"], resources.lights.source
-        rays.geometry, rays.materials = scene.geometry, scene.materials
-        rays.meshes, rays.worlds, rays.inverses = trees.meshes, trees.worlds, trees.inverses
-        rays.tree = trees.tree.id
+        rays.scene = resources.scene.rays().struct()
         rays.tangent = light_tangent(request)
         return rays
     maps = structs.ShadowMaps()
@@ -73,8 +71,9 @@ def light_tangent(request: Request) -> float:
 
 
 def keeps_maps(request: Request) -> bool:
-    """Whether maps stay from frame to frame; the passes before shading then leave them alone."""
-    return request.shadow_slots > 0 and request.candidates > 0 and request.settings.shadow.keep_maps
+    """Whether maps stay from frame to frame, or from sample to sample; the passes before shading leave them alone."""
+    keeps = request.settings.shadow.keep_maps or sample_count(request) > 1
+    return request.shadow_slots > 0 and request.candidates > 0 and keeps
 
 
 def clear_maps(resources: Resources, request: Request) -> None:

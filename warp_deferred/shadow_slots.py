@@ -32,7 +32,8 @@ class ShadowSlot:
         light: Index in the global order of lights.
         kind: SLOT_SPOT, SLOT_FACE or SLOT_CASCADE of `kernels.structs`.
         part: Which face or cascade.
-        camera: View whose slices a cascade covers; 0 for the others.
+        camera: View whose slices a cascade covers; of the others the only view that looks them up, -1 where there are
+            several.
         world: World that is drawn into it; -1 draws all.
         size: Side [texel].
     """
@@ -114,4 +115,7 @@ def _add_light(
         if kind == int(structs.SLOT_CASCADE) or drawn not in known:
             known[drawn] = len(slots)
             slots += [ShadowSlot(light, kind, part, camera, drawn, size) for part in range(parts)]
+        else:
+            place = known[drawn]
+            slots[place : place + parts] = [dataclasses.replace(s, camera=-1) for s in slots[place : place + parts]]
         first[camera, light] = known[drawn]

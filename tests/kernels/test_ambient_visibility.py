@@ -45,7 +45,7 @@ def test_roots_are_within_their_bound(device):
     fine, rough = out.numpy().astype(float).T
     some = x > 0.0
     assert np.abs(fine[some] * np.sqrt(x[some].astype(float)) - 1.0).max() <= 5e-6
-    assert np.abs(rough[some] * np.sqrt(x[some].astype(float)) - 1.0).max() <= 7e-4
+    assert np.abs(rough[some] * np.sqrt(x[some].astype(float)) - 1.0).max() <= 1e-3
     assert np.isfinite(fine).all() and np.isfinite(rough).all()
 
 

@@ -30,7 +30,12 @@ def expected_layers(triangles: np.ndarray, depth: np.ndarray) -> list[np.ndarray
 
 @pytest.mark.parametrize("bins", ["off", "on"])
 def test_layers_come_off_in_order(bins, device, rng, monkeypatch):
-    for module, name in ((raster.kernels, "make_raster_kernel"), (raster.bin_kernels, "make_bin_kernels")):
+    makers = (
+        (raster.kernels, "make_raster_kernel"),
+        (raster.bin_kernels, "make_bin_kernel"),
+        (raster.draw_kernels, "make_draw_bins_kernel"),
+    )
+    for module, name in makers:
         make = getattr(module, name)
         monkeypatch.setattr(module, name, lambda *flags, make=make: make(*flags[:-1], True))
     limit = wp.zeros(WIDTH * HEIGHT, dtype=wp.uint64, device=device)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import reference
 import warp as wp
-from warp_deferred.kernels.bloom import bright_part, exposed, mirrored
+from warp_deferred.kernels.bloom import mirrored
+from warp_deferred.kernels.bloom_bright import bright_part, exposed
 from warp_deferred.kernels.bloom_exact import folded
 from warp_deferred.kernels.structs import Bloom
 

@@ -64,7 +64,7 @@ def fragment_kernel(
 ):
     i = wp.tid()
     e = edges[i]
-    out_depth[i] = fragment_depth(e[0], e[1], e[2], area[i], z[i])
+    out_depth[i] = fragment_depth(e[0], e[1], e[2], 1.0 / area[i], z[i])
 
 
 @wp.kernel
@@ -185,8 +185,8 @@ def test_fragment_depth_is_exact_to_a_few_ulp(device, rng):
     got = run(fragment_kernel, inputs, wp.float32, device).astype(float)
     exact = (edges * z.astype(float)).sum(axis=1) / area
     assert (got >= 0.0).all()
-    # Products, two sums, the conversions and the quotient: at most six roundings of 2^-24.
-    assert np.abs(got / exact - 1.0).max() <= 6.0 * 2.0**-24
+    # Products, two sums, the conversions, the reciprocal and its product: at most seven roundings of 2^-24.
+    assert np.abs(got / exact - 1.0).max() <= 7.0 * 2.0**-24
 
 
 @pytest.mark.parametrize("orthographic", [False, True])

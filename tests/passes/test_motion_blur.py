@@ -93,6 +93,31 @@ def test_a_turning_camera_moves_the_background(device):
     assert abs(middle[0] - fx * np.tan(np.radians(2.0))) < 0.05 and abs(middle[1]) < 0.01
 
 
+def test_motion_does_not_see_the_views_of_shadow_maps(device):
+    """A crash once: what was kept of the maps' views lay behind the cameras' room."""
+    outputs, results = ("motion", "color"), []
+    for casts in (False, True):
+        scene = gallery()
+        for _, group in scene.lights.groups():
+            group.casts_shadow = np.full(len(group), casts)
+        before = scene.camera
+        turned = wd.Camera.look_at(np.add(before.position, (0.11, -0.05, 0.2)), (0.1, 0.75, 0.0), vertical_fov_deg=45.0)
+        more = ("shadow.point_size=128", "shadow.spot_size=64", "shadow.directional_size=64")
+        renderer = renderer_of(device, "off", outputs, scene, more)
+        renderer.render(before)
+        scene.instances[1].transform = tilt(25.0, 50.0, 1.0, (-1.1, 0.65, 0.3))
+        results.append(images(renderer.render(turned)))
+        (stage,) = (s for s in renderer.plan.passes if s.name == "motion")
+        frame, section = renderer.plan.resources.frame, renderer.plan.resources.program.sections
+        assert (len(frame.views) > 1) is casts and len(stage.old_views) == 1
+        commands = [c for part in section if part.name == "motion" for step in part.steps for c in step]
+        handed = [a for c in commands for a in (*c._arguments["inputs"], *c._arguments["outputs"])]
+        lengths = [len(a) for a in handed if isinstance(a, wp.array) and a.dtype is frame.views.dtype]
+        assert len(lengths) >= 5 and set(lengths) == {1}, "nothing may be written behind the cameras' views"
+    assert_same(*results, ("motion",))
+    assert not np.array_equal(results[0]["color"], results[1]["color"]) and np.abs(results[0]["motion"]).max() > 1.0
+
+
 def test_motion_is_written_to_files(device, tmp_path):
     scene = card_scene()
     renderer = renderer_of(device, "off", ("color", "motion"), scene)

@@ -8,10 +8,9 @@ import warp as wp
 from ..kernels import ambient_visibility as gtao
 from ..kernels import ambient_visibility_ssao as ssao
 from ..kernels import ambient_visibility_traced as traced
-from ..kernels import bilateral, depth_pyramid
+from ..kernels import bilateral, depth_pyramid, visibility_upsampling
 from ..program import FIRST
 from ..resources import Resources
-from ..world_mesh import WorldMesh
 from .base import Buffer, Pass
 from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
 
@@ -33,10 +32,10 @@ class AmbientVisibilityPass(Pass):
 
     def reads(self) -> tuple[str, ...]:
         """Depth and normals."""
-        return ("depth", *gbuffer_buffers(self.request, self.layout))
+        return ("depth", *gbuffer_buffers(self.request, self.layout), *(["rays"] * (self.rung() == "ray_traced")))
 
     def writes(self) -> dict[str, Buffer]:
-        """Visibility, and what its making needs: the depth pyramid, words before and after the first blur."""
+        """Visibility, and what its making needs: the depth pyramid, words before and after the narrow blur."""
         pixels = max(self.layout.pixels, 1)
         result = {"ambient_visibility": Buffer(wp.float32, pixels)}
         if self.rung() != "ray_traced":
@@ -45,7 +44,7 @@ class AmbientVisibilityPass(Pass):
             result |= {
                 "visibility_pyramid": Buffer(wp.float32, bins * depth_pyramid.BIN_WORDS),
                 "visibility_words": Buffer(wp.uint32, words),
-                "visibility_rows": Buffer(wp.uint32, words),
+                "visibility_narrow": Buffer(wp.uint32, words),
             }
         return result
 
@@ -55,15 +54,15 @@ class AmbientVisibilityPass(Pass):
         return self.rung() == "gtao_half"
 
     def prepare(self, resources: Resources) -> None:
-        """Fetch the kernels, upload patterns; for the reference rung build the world's triangles and their BVH."""
+        """Fetch the kernels, upload patterns; for the reference rung have the trees for rays made."""
         settings, codec = self.request.settings.ambient_visibility, gbuffer_codec(self.request)
         low, high = resources.scene.box()
         radius = float(np.linalg.norm(high - low)) / 20.0 if settings.radius_m is None else settings.radius_m
         self.radius = min(radius, LARGEST_RADIUS)
         self.gbuffer = make_gbuffer(resources)
         if self.rung() == "ray_traced":
-            self.world = WorldMesh(resources.scene)
-            self.gather = traced.make_ambient_visibility_traced_kernel(codec, self.world.grouped)
+            self.rays = resources.scene.rays().struct()
+            self.gather = traced.make_ambient_visibility_traced_kernel(codec)
             table = traced.cosine_directions(settings.rays)
         elif self.rung() == "ssao":
             self.gather = ssao.make_ambient_visibility_ssao_kernel(codec)
@@ -71,17 +70,17 @@ class AmbientVisibilityPass(Pass):
         else:
             self.gather = gtao.make_ambient_visibility_kernel(codec, settings.slices, settings.steps, self.half)
             table = gtao.slice_pattern(settings.slices)
-        if self.half:
-            self.upsample = bilateral.make_upsample_kernel(codec)
+        if self.rung() != "ray_traced":
+            self.blurs = [bilateral.make_blur_kernel(self.half, wide) for wide in (False, True)]
         self.table = wp.array(table, dtype=wp.vec4, device=resources.device)
 
     def run(self, resources: Resources) -> None:
-        """Rays; or pyramid, gathering, blur along rows and columns, and up to full size."""
+        """Rays; or pyramid, gathering, narrow and wide blur, and up to full size."""
         if self.rung() == "ray_traced":
             self._trace(resources)
             return
         program, views, channels = resources.program, resources.frame.views, resources.channels
-        pyramid, words, rows = (channels[f"visibility_{n}"] for n in ("pyramid", "words", "rows"))
+        pyramid, words, narrow = (channels[f"visibility_{n}"] for n in ("pyramid", "words", "narrow"))
         final, power = channels["ambient_visibility"], self.request.settings.ambient_visibility.power
         over_bins = self.layout.shown_bins * 64
         over_blocks = len(self.layout.blocks) * 64
@@ -92,15 +91,17 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
         inputs = [views, tiles, self.gbuffer, pyramid, self.table, *self._gather_parameters(), FIRST]
         program.launch(self.gather, threads, inputs, [words], block_dim=gtao.BLOCK_DIM, band=64)
-        blur, half = bilateral.blur_words_kernel, int(self.half)
-        # Narrow rows and columns, then wide ones; the last one finishes, or hands over to the upsampling.
-        stages = [(0, 0, words, rows), (1, 0, rows, words), (0, 1, words, rows)] + [(1, 1, rows, words)] * half
-        for columns, wide, source, target in stages:
-            inputs = [views, tiles, source, self.radius, columns, wide, half, FIRST]
-            program.launch(blur, threads, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
-        last, source = (self.upsample, words) if self.half else (bilateral.blur_final_kernel, rows)
-        inputs = [views, resources.blocks, *([self.gbuffer] * half), source, self.radius, power, FIRST]
-        program.launch(last, over_blocks, inputs, [final], block_dim=bilateral.BLOCK_DIM, band=64)
+        # The wide blur finishes, or hands over to the upsampling.
+        stages = zip(self.blurs, (words, narrow), (narrow, words if self.half else final), strict=True)
+        for blur, source, target in stages:
+            inputs = [views, resources.bin_tiles, source, self.radius, power, FIRST]
+            program.launch(blur, over_bins, inputs, [target], block_dim=bilateral.BLOCK_DIM, band=64)
+        if self.half:
+            inputs = [views, resources.bin_tiles, channels["depth"], words, self.radius, power, FIRST]
+            program.launch(
+                visibility_upsampling.upsample_kernel, over_bins, inputs, [final],
+                block_dim=visibility_upsampling.BLOCK_DIM, band=64,
+            )  # fmt: skip
 
     def _gather_parameters(self) -> list[float]:
         settings = self.request.settings.ambient_visibility
@@ -110,10 +111,9 @@ class AmbientVisibilityPass(Pass):
 
     def _trace(self, resources: Resources) -> None:
         settings = self.request.settings.ambient_visibility
-        self.world.add_update(resources.program)
         inputs = [
-            resources.frame.views, resources.blocks, wp.uint64(self.world.id), self.world.anchor, self.gbuffer,
-            self.table, self.radius, settings.bias, settings.power, FIRST,
+            resources.frame.views, resources.blocks, self.rays, self.gbuffer, self.table, self.radius, settings.bias,
+            settings.power, FIRST,
         ]  # fmt: skip
         resources.program.launch(
             self.gather, len(self.layout.blocks) * 64, inputs, [resources.channels["ambient_visibility"]],
@@ -121,8 +121,8 @@ class AmbientVisibilityPass(Pass):
         )  # fmt: skip
 
     def bytes_moved(self) -> int:
-        """Depth and normals in, visibility out; the pyramid; words four times each way, at half size five."""
+        """Depth and normals in, visibility out; the pyramid; words twice each way, half size thrice, depth again."""
         if self.rung() == "ray_traced":
             return self.layout.pixels * 12
-        words = (20 + 20) * 0.25 + 8 if self.half else 16 + 16
+        words = 24 * 0.25 + 4 if self.half else 8 + 8
         return int(self.layout.pixels * (8 + 1.33 + words + 4))

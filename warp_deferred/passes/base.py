@@ -130,7 +130,8 @@ class Pass(abc.ABC):
     doc: ClassVar[str] = ""
     #: What it does with the HDR image: begins the chain, turns `source` into `target`, rewrites it in place, reads it.
     image: ClassVar[Literal["", "write", "turn", "rewrite", "read"]] = ""
-    #: When it runs where a frame takes several samples a pixel: once before them, in each, or once after them.
+    #: When it runs where a frame takes several samples a pixel: once before them, in each, or once after them. A user's
+    #: own pass runs in no earlier part than the pass it comes after, whatever it says.
     #: `accumulate` and `average` are the mechanism's own: last in each sample, and first after them.
     scope: ClassVar[Literal["frame_start", "sample", "accumulate", "average", "frame_end"]] = "sample"
     #: Name of the pass it comes after; read of a user's own passes only.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -21,6 +22,13 @@ __all__ = ["BloomPass", "Pyramid", "bright_level", "level_count", "make_bloom", 
 
 #: A level more than any picture has pixels for would be one texel of everything, like the one before.
 MAX_LEVELS = 14
+#: Kernels of several small levels.
+SMALL = ("narrow", "widen")
+#: Most texels, of all views, of the level that a single launch mixes all wider ones into: level 3 at 1080p. It makes
+#: as many again of each of those.
+WIDEN_TEXELS = 65536
+#: Most texels, of all views, of the finer of two levels that a launch makes; it makes four times as many.
+NARROW_TEXELS = 16384
 #: A half keeps 11 bits: shade must not miss a pixel that only its rounding lifts above the threshold.
 ROUNDING = 1.0 - 2.0**-10
 
@@ -64,32 +72,30 @@ def weights(count: int, falloff: float) -> np.ndarray:
 
 @dataclasses.dataclass(frozen=True)
 class Pyramid:
-    """Where the levels of all views lie in one buffer.
+    """Where the levels of all views lie in one buffer, and which blocks of them a launch makes.
+
+    Blocks are (b, 4) int32: view, x, y, row.
 
     Attributes:
         rows: `structs.BloomLevel` rows, `count` a view; rows of levels a view does not have are 0.
         count: Most levels a view has.
+        counts: Levels of each view.
         texels: Texels of all levels.
-        down: For each level, (b, 4) int32: view, x, y, row of each 8 x 8 block.
-        up: The same, of those views that have a wider level yet.
     """
 
     rows: np.ndarray
     count: int
+    counts: tuple[int, ...]
     texels: int
-    down: list[np.ndarray]
-    up: list[np.ndarray]
 
     @classmethod
     def of(cls, sizes: tuple[ViewSize, ...], settings: Settings) -> Pyramid:
         """Lay out the levels of the views that keep colour."""
         s = settings.bloom
         chain = s.rung == "mip_chain"
-        counts = [0 if v.depth_only else level_count(v.height, s.radius) if chain else 1 for v in sizes]
+        counts = tuple(0 if v.depth_only else level_count(v.height, s.radius) if chain else 1 for v in sizes)
         most = max(counts, default=0)
         rows = np.zeros((len(sizes), most), structs.BloomLevel.numpy_dtype())
-        down: list[list[np.ndarray]] = [[] for _ in range(most)]
-        up: list[list[np.ndarray]] = [[] for _ in range(most)]
         first = 0
         for v, (size, count) in enumerate(zip(sizes, counts, strict=True)):
             share = weights(count, s.falloff) if count else np.zeros(0)
@@ -97,16 +103,68 @@ class Pyramid:
                 texel = 2 << k
                 width, height = -(-size.width // texel), -(-size.height // texel)
                 edges = [math.floor(2 * length / texel + 0.5) for length in (size.width, size.height)]
-                rows[v, k] = (first, width, height, *edges, share[k + 1 :].sum() / share[k:].sum())
+                wider = share[k + 1 :].sum() / share[k:].sum()
+                rows[v, k] = (first, width, height, *edges, wider, v * most + count - 1)
                 first += width * height
-                blocks = block_grid(v, ViewSize(width, height), 8)
-                blocks[:, 3] = v * most + k
-                down[k].append(blocks)
-                if k + 1 < count:
-                    up[k].append(blocks)
-        none = [np.zeros((0, 4), np.int32)]
-        joined = [[np.concatenate(part + none) for part in table] for table in (down, up)]
-        return cls(rows.reshape(-1), most, first, *joined)
+        return cls(rows.reshape(-1), most, counts, first)
+
+    def blocks(
+        self,
+        level: int,
+        views: list[int],
+        side: tuple[int, int],
+        cells: Callable[[int, int], tuple[int, int]] = lambda width, height: (width, height),
+    ) -> np.ndarray:
+        """Blocks of a level of some views.
+
+        Args:
+            level: 0 is level 1.
+            views: The views.
+            side: Cells that a block is wide and high.
+            cells: Cells that a level of a width and height has: what the blocks' x and y count.
+        """
+        tables = [np.zeros((0, 4), np.int32)]
+        for v in views:
+            row = v * self.count + level
+            width, height = cells(int(self.rows[row]["width"]), int(self.rows[row]["height"]))
+            table = block_grid(v, ViewSize(-(-width // side[0]), -(-height // side[1])), 1)
+            tables.append(table * np.int32((1, *side, 0)) + np.int32((0, 0, 0, row)))
+        return np.concatenate(tables)
+
+    def having(self, level: int) -> list[int]:
+        """Views that have a level."""
+        return [v for v, count in enumerate(self.counts) if count > level]
+
+    def first_below(self, limit: int) -> int:
+        """Finest level of which all views together have no more texels than a limit; `count` if none."""
+        areas = self.rows["width"].astype(np.int64) * self.rows["height"]
+        totals = areas.reshape(-1, max(self.count, 1)).sum(axis=0)
+        return next((k for k in range(self.count) if totals[k] <= limit), self.count)
+
+    def steps(self, together: bool) -> list[tuple[str, np.ndarray]]:
+        """Launches that turn level 1 into bloom: kernel without its ending, and blocks.
+
+        Args:
+            together: Make several small levels in a launch: the same texels, less waiting, more work.
+        """
+        mixed = self.first_below(WIDEN_TEXELS) if together else self.count
+        pairs = max(1, self.first_below(NARROW_TEXELS)) if together else self.count
+        widened = {v for v in self.having(mixed + 2)}
+        # `widen_kernel` makes the widest level itself.
+        made = [count - (v in widened) for v, count in enumerate(self.counts)]
+        steps = []
+        for k in range(1, self.count):
+            second = k > pairs and (k - pairs) % 2 == 1
+            paired = [v for v in self.having(k + 1) if k >= pairs and not second and k + 1 < made[v]]
+            alone = [v for v in self.having(k) if k < made[v] and not second and v not in paired]
+            steps += [("downsample", self.blocks(k, alone, (8, 8), lambda w, h: (w, -(-h // 2))))]
+            steps += [("narrow", self.blocks(k + 1, paired, (2, 2)))]
+        steps.append(("widen", self.blocks(mixed, sorted(widened), (8, 8))))
+        for k in reversed(range(self.count - 1)):
+            views = [v for v in self.having(k + 1) if k < mixed or v not in widened]
+            # Corners of the wider level's texels.
+            steps.append(("upsample", self.blocks(k, views, (8, 8), lambda w, h: (w // 2 + 1, h // 2 + 1))))
+        return [(name, blocks) for name, blocks in steps if len(blocks)]
 
 
 @functools.lru_cache(maxsize=16)
@@ -126,7 +184,8 @@ def make_bloom(resources: Resources, request: Request, layout: ViewLayout) -> st
     if bright_level(request) is None:
         bloom.bright = wp.ones(1, dtype=wp.int32, device=resources.device)
     bloom.level_count = pyramid.count
-    bloom.firefly = 1.0 / settings.fireflies if settings.fireflies > 0.0 else 0.0
+    # Bounded so that luminance times part times this, 2^32 times more, is finite.
+    bloom.firefly = min(1.0 / settings.fireflies, 2.0**64) if settings.fireflies > 0.0 else 0.0
     bloom.threshold, bloom.knee, bloom.soft = settings.threshold, knee, 0.25 / knee if knee > 0.0 else 0.0
     return bloom
 
@@ -139,6 +198,8 @@ class BloomPass(Pass):
     image = "read"
     scope = "frame_end"
     active_if = "some pixel exceeds the threshold"
+    #: Whether small levels share launches; None: on a GPU.
+    together: bool | None = None
 
     def active(self, resources: Resources) -> wp.array | None:
         """Shade's flag; display tests it too, so that nothing stale shows where the pass was skipped."""
@@ -170,12 +231,30 @@ class BloomPass(Pass):
         if settings.rung == "exact":
             self._prepare_exact(device)
             return
-        from ..kernels import bloom as kernels
+        from ..kernels import bloom, bloom_bright
 
-        self.kernels = kernels
-        self.bright = kernels.make_bright_kernel(not float_image(self.request), settings.fireflies > 0.0)
-        self.down = [table_array(t, device) for t in self.pyramid.down]
-        self.up = [table_array(t, device) for t in self.pyramid.up]
+        self.kernels = bloom
+        self.bright = bloom_bright.make_bright_kernel(not float_image(self.request), settings.fireflies > 0.0)
+        pyramid, steps = self.pyramid, []
+        shown = pyramid.having(0)
+        strips = pyramid.blocks(0, shown, (bloom_bright.STRIP_WIDTH, 2 * bloom_bright.STRIP_HEIGHT))
+        self.strips = (table_array(strips, device), len(strips))
+        if settings.rung == "neighbourhood":
+            steps = [("gather", pyramid.blocks(0, shown, (8, 8)))]
+        elif settings.rung == "mip_chain":
+            steps = pyramid.steps(device.is_cuda if self.together is None else self.together)
+        self.steps = [(self._kernel(name), table_array(blocks, device), len(blocks)) for name, blocks in steps]
+        # Where lanes share no memory of their own, every block has some here.
+        blocks = 0 if device.is_cuda else max([len(blocks) for name, blocks in steps if name in SMALL], default=0)
+        self.scratch = wp.zeros(max(128 * blocks, 1), dtype=wp.uint64, device=device)
+
+    def _kernel(self, name: str) -> wp.Kernel:
+        """Fetch a kernel of the pyramid or the window."""
+        if name in SMALL:
+            from ..kernels import bloom_small
+
+            return getattr(bloom_small, f"{name}_kernel")
+        return getattr(self.kernels, f"{name}_kernel")
 
     def _prepare_exact(self, device: wp.Device) -> None:
         """Weights of all Gaussians, out to five standard deviations, views of one height sharing theirs."""
@@ -207,33 +286,22 @@ class BloomPass(Pass):
         if self.rung() == "exact":
             self._run_exact(resources)
             return
-        kernels, levels = self.kernels, self.bloom.levels
-        texels = resources.channels["bloom"]
-        if self.rung() == "neighbourhood":
-            bright, window = resources.channels["bloom_bright"], self.request.settings.bloom.window
-            self._launch(resources, self.bright, 0, [self.radiance, self.color, self.bloom], bright)
-            self._launch(resources, kernels.gather_kernel, 0, [bright, levels, window], texels)
-            return
-        self._launch(resources, self.bright, 0, [self.radiance, self.color, self.bloom], texels)
-        for k in range(1, self.pyramid.count):
-            self._launch(resources, kernels.downsample_kernel, k, [levels], texels)
-        for k in reversed(range(self.pyramid.count - 1)):
-            self._launch(resources, kernels.upsample_kernel, k, [levels], texels, up=True)
+        levels, texels = self.bloom.levels, resources.channels["bloom"]
+        settings = self.request.settings.bloom
+        bright = resources.channels["bloom_bright"] if settings.rung == "neighbourhood" else texels
 
-    def _launch(
-        self, resources: Resources, kernel: wp.Kernel, level: int, inputs: list, out: wp.array, up: bool = False
-    ) -> None:
-        """Add a launch over the blocks of a level."""
-        blocks = self.up[level] if up else self.down[level]
-        count = len((self.pyramid.up if up else self.pyramid.down)[level])
-        resources.program.launch(
-            kernel,
-            count * 64,
-            [resources.frame.views, blocks, *inputs, FIRST],
-            [out],
-            block_dim=self.kernels.BLOCK_DIM,
-            band=64,
-        )
+        def launch(kernel: wp.Kernel, blocks: wp.array, count: int, inputs: list, out: wp.array) -> None:
+            values = [resources.frame.views, blocks, *inputs, FIRST]
+            resources.program.launch(kernel, count * 64, values, [out], block_dim=self.kernels.BLOCK_DIM, band=64)
+
+        launch(self.bright, *self.strips, [self.radiance, self.color, self.bloom], bright)
+        for kernel, blocks, count in self.steps:
+            inputs = [levels]
+            if settings.rung == "neighbourhood":
+                inputs = [bright, levels, settings.window]
+            elif kernel.key.startswith(SMALL):
+                inputs = [levels, self.scratch]
+            launch(kernel, blocks, count, inputs, texels)
 
     def _run_exact(self, resources: Resources) -> None:
         kernels, frame, blocks = self.kernels, resources.frame, resources.blocks

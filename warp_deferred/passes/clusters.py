@@ -28,8 +28,9 @@ class ClustersPass(Pass):
         return "the scene has no triangles"
 
     def reads(self) -> tuple[str, ...]:
-        """Nothing but the scene, whose bound points must be up to date."""
-        return ("points",) if self.request.features.bound_meshes else ()
+        """Nothing but the scene, whose bound points must be up to date, and what bounds its shadow maps."""
+        names = ("points",) if self.request.features.bound_meshes else ()
+        return names + (("shadow_bounds",) if self.request.shadow_slots else ())
 
     def writes(self) -> dict[str, Buffer]:
         """Pairs and work list."""
@@ -44,6 +45,7 @@ class ClustersPass(Pass):
         self.work = structs.WorkList()
         self.work.entries = resources.channels["work_entries"]
         self.work.counts = resources.channels["work_counts"]
+        self.bounds = resources.channel("shadow_bounds", wp.vec4)
 
     def run(self, resources: Resources) -> None:
         """Pairs, then clusters."""
@@ -60,7 +62,7 @@ class ClustersPass(Pass):
         program.launch(
             kernels.cull_clusters_kernel,
             (rows, self.request.clusters_per_view),
-            [views, resources.scene.geometry, pairs],
+            [views, resources.scene.geometry, pairs, self.bounds, self.request.cameras],
             [self.work],
             block_dim=kernels.BLOCK_DIM,
         )

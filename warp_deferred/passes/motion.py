@@ -40,7 +40,9 @@ class MotionPass(Pass):
 
     def run(self, resources: Resources) -> None:
         """Steps of the pairs, motion of the pixels; then the frame's poses are kept."""
-        channels, program, views = resources.channels, resources.program, resources.frame.views
+        channels, program = resources.channels, resources.program
+        # The views of shadow maps lie behind the cameras', and nobody asks for their motion.
+        views = resources.frame.views[: self.request.cameras]
         geometry, steps = resources.scene.geometry, channels["motion_steps"]
         old = [self.known, self.old_views]
         block = {"block_dim": kernels.BLOCK_DIM}

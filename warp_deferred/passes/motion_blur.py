@@ -92,6 +92,7 @@ class ShutterSamplesPass(Pass):
         """Make room for the poses of the frame before and of this one, which nobody else sees."""
         device, transforms = resources.device, resources.scene.geometry.transforms
         self.old_views = wp.zeros(self.request.cameras, dtype=structs.View, device=device)
+        resources.frame.move_middle()
         self.old_transforms, self.transforms = wp.zeros_like(transforms), wp.zeros_like(transforms)
         self.known = resources.channels["shutter_known"] = wp.zeros(1, dtype=wp.int32, device=device)
 
@@ -103,6 +104,6 @@ class ShutterSamplesPass(Pass):
         inputs = [*table, self.known, frame.uploaded]
         kept = [self.old_transforms, self.transforms, moved]
         program.launch(kernels.shutter_transforms_kernel, moved.shape[0], inputs, kept, **block)
-        views = [self.old_views, frame.views]
+        views = [self.old_views, frame.views, frame.middle]
         program.launch(kernels.shutter_views_kernel, self.request.cameras, inputs, views, **block)
         program.launch(kernels.shutter_known_kernel, 1, table, [self.known], **block)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import warp as wp
 
+from ..kernels import bin_draw as draw_kernels
 from ..kernels import bins as bin_kernels
 from ..kernels import coverage, structs
 from ..kernels import merge as merge_kernels
@@ -76,7 +77,7 @@ class RasterPass(Pass):
         if self.binned:
             tiles = len(layout.bin_tiles)
             result["large_triangles"] = Buffer(structs.LargeTriangle, raster.large_capacity)
-            result["bin_entries"] = Buffer(wp.vec4i, max(raster.bin_capacity, 1))
+            result["bin_entries"] = Buffer(wp.int32, max(raster.bin_capacity, 1))
             result["bin_offsets"] = Buffer(wp.int32, tiles, lasting=True)
             # Counts, cursors and the numbers of large and huge triangles: one memset clears them all.
             result["bin_state"] = Buffer(wp.int32, 2 * tiles + 2, lasting=True, early=True)
@@ -103,13 +104,16 @@ class RasterPass(Pass):
             target.behind = wp.zeros(1, dtype=wp.uint64, device=resources.device)
             self.targets.append(target)
         if self.binned:
-            self.bin_triangles, self.draw_bins = bin_kernels.make_bin_kernels(depth_views, False)
+            self.bin_triangles = bin_kernels.make_bin_kernel(depth_views, False)
+            self.draw_bins = [draw_kernels.make_draw_bins_kernel(False, False)]
+            if depth_views:
+                self.draw_bins.append(draw_kernels.make_draw_bins_kernel(True, False))
             self.bins = bin_kernels.Bins()
             for field in ("counts", "offsets", "cursors", "entries"):
                 setattr(self.bins, field, resources.channels[f"bin_{field}"])
-            self.bins.scratch = wp.zeros(1280, dtype=wp.vec4i, device=resources.device)
+            self.bins.scratch = wp.zeros(320, dtype=wp.vec4i, device=resources.device)
             if self.request.settings.raster.bin_capacity == 0:
-                self.bins.entries = wp.zeros(0, dtype=wp.vec4i, device=resources.device)
+                self.bins.entries = wp.zeros(0, dtype=wp.int32, device=resources.device)
 
     @staticmethod
     def _slice(resources: Resources, name: str, dtype: type, count: int, k: int) -> wp.array:
@@ -175,13 +179,15 @@ class RasterPass(Pass):
         bin_step(0)
         program.call(lambda: wp.utils.array_scan(counts, offsets, inclusive=False))
         bin_step(1)
-        program.launch(
-            self.draw_bins,
-            len(self.layout.bin_tiles) * int(structs.BIN_TILE_AREA),
-            [views, resources.bin_tiles, self.bins],
-            [target],
-            block_dim=bin_kernels.BLOCK_DIM,
-        )
+        # Views that keep ids come first, then shadow maps; tiles of the two lie apart.
+        shown, tiles = self.layout.shown_bins, len(self.layout.bin_tiles)
+        launches = []
+        for kernel, first, count in zip(self.draw_bins, (0, shown), (shown, tiles - shown), strict=False):
+            inputs = [views, resources.bin_tiles, self.bins, first]
+            launches.append((kernel, count * draw_kernels.BLOCK_DIM, inputs, [target]))
+        # On the CPU they share the memory that stands in for a block's.
+        for together in [launches] if resources.device.is_cuda else [[launch] for launch in launches]:
+            program.launch_together(together, block_dim=draw_kernels.BLOCK_DIM)
 
     def _merge(self, resources: Resources) -> None:
         for name, count, kernel in (

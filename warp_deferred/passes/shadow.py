@@ -8,8 +8,12 @@ import numpy as np
 import warp as wp
 
 from ..kernels import shadow as kernels
+from ..kernels import shadow_bounds as bound_kernels
 from ..kernels import structs
+from ..kernels.clusters import BOUND_ROWS
+from ..kernels.shadow_lookup import BLEND
 from ..resources import Resources
+from ..sampling import lens_samples
 from ..shadow_maps import BORDERS, keeps_maps, light_tangent
 from ..shadow_slots import ShadowTable
 from ..views import ViewPacker
@@ -41,6 +45,7 @@ class ShadowPass(Pass):
             "shadow_first": Buffer(wp.int32, lights, persistent=True),
             "shadow_rows": Buffer(wp.vec4, max(4 * count, 1), persistent=True),
             "shadow_tiles": Buffer(wp.vec4i, max(count, 1), persistent=True),
+            **({"shadow_bounds": Buffer(wp.vec4, count * int(BOUND_ROWS), persistent=True)} if count else {}),
         }
 
     def prepare(self, resources: Resources) -> None:
@@ -55,9 +60,18 @@ class ShadowPass(Pass):
         self.params.distance = settings.distance_m or math.inf
         self.params.split_blend = settings.split_blend
         self.params.tangent = light_tangent(self.request)
-        self.params.keep = int(keeps_maps(self.request))
+        self.params.keep = int(settings.keep_maps)
+        # Accumulating reads the counter last, so it lives as long as this pass needs it; 0 in frames of one sample.
+        self.counter = resources.channel("sample_counter", wp.int32)
         self.states = wp.zeros(count, dtype=wp.int32, device=resources.device)
-        if self.params.keep:
+        self.keeps = keeps_maps(self.request)
+        self.casters = bound_kernels.BoundParams()
+        self.casters.first_view, self.casters.border = self.params.first_view, self.params.border
+        self.casters.inner, self.casters.distance = 1.0 - float(BLEND), self.params.distance
+        self.casters.keep = int(self.keeps)
+        # Samples that look through other points of the lens see beyond the frustum.
+        self.casters.one_eye = int(lens_samples(self.request) == 1)
+        if self.keeps:
             instances = resources.scene.instance_count
             self.before = wp.zeros(instances, dtype=structs.Transform, device=resources.device)
             self.moved = wp.zeros(instances + 1, dtype=wp.int32, device=resources.device)
@@ -94,8 +108,6 @@ class ShadowPass(Pass):
     def run(self, resources: Resources) -> None:
         """The scene's box where a cascade needs it, then the views."""
         program, count = resources.program, self.request.shadow_slots
-        if self.request.settings.shadow.rung == "ray_traced":
-            self._place_instances(resources)
         if not count:
             return
         if self.cascaded:
@@ -111,11 +123,20 @@ class ShadowPass(Pass):
         program.launch(
             kernels.place_slots_kernel,
             count,
-            [resources.frame.uploaded, resources.lights.source, self.slots, self.bounds, self.params],
+            [resources.frame.middle, resources.lights.source, self.slots, self.bounds, self.counter, self.params],
             [resources.frame.views, resources.channels["shadow_rows"], self.states],
             block_dim=kernels.BLOCK_DIM,
         )
-        if self.params.keep:
+        if self.request.candidates:
+            program.launch(
+                bound_kernels.bound_casters_kernel,
+                (count, int(BOUND_ROWS)),
+                [resources.frame.middle, resources.frame.views, resources.lights.source, self.slots, self.bounds,
+                 self.casters],
+                [resources.channels["shadow_bounds"], self.states],
+                block_dim=bound_kernels.BLOCK_DIM,
+            )  # fmt: skip
+        if self.keeps:
             self._keep(resources)
 
     def _keep(self, resources: Resources) -> None:
@@ -125,9 +146,8 @@ class ShadowPass(Pass):
         program, block = resources.program, shadow_keep.BLOCK_DIM
         geometry, views, first = resources.scene.geometry, resources.frame.views, self.request.cameras
         count, instances = self.request.shadow_slots, resources.scene.instance_count
-        program.launch(
-            shadow_keep.note_moves_kernel, instances, [geometry, self.before, self.bound], [self.moved], block_dim=block
-        )
+        inputs = [geometry, self.before, self.bound, self.counter]
+        program.launch(shadow_keep.note_moves_kernel, instances, inputs, [self.moved], block_dim=block)
         program.launch(
             shadow_keep.touch_slots_kernel,
             (count, instances),
@@ -142,21 +162,6 @@ class ShadowPass(Pass):
             [self.states, views, self.before, self.moved],
             block_dim=block,
         )
-
-    def _place_instances(self, resources: Resources) -> None:
-        from ..kernels import shadow_rays
-
-        scene, rays = resources.scene, resources.scene.rays()
-        resources.program.launch(
-            shadow_rays.place_instances_kernel,
-            scene.instance_count,
-            [scene.geometry],
-            [rays.low, rays.high, rays.inverses],
-            block_dim=shadow_rays.BLOCK_DIM,
-        )
-        for mesh in rays.bound:
-            mesh.update(resources)
-        resources.program.call(rays.tree.refit)
 
     def bytes_moved(self) -> int:
         """Views in and out, rows out."""
