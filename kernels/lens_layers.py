@@ -14,10 +14,10 @@ from .intrinsics import (
     add_weighted,
     fast_inverse_root,
     fast_root,
+    fma,
     load_double_word,
     load_float,
     load_vec4,
-    multiply_add,
     pack_half4,
     unpack_half3,
 )
@@ -237,16 +237,16 @@ def make_layers(half: bool):
         for j in range(disc.first, disc.last + 1):
             dy = (wp.float32(j) - disc.v) * disc.step_y
             dy2 = dy * dy
-            wide = fast_root(wp.max(multiply_add(disc.rim, disc.rim, -dy2), 0.0)) * disc.narrow
+            wide = fast_root(wp.max(fma(disc.rim, disc.rim, -dy2), 0.0)) * disc.narrow
             row = disc.rows.first + wp.clamp(j, 0, disc.rows.last_y) * disc.rows.pitch
             left = wp.ceil(disc.u - wide)
             dx = (left - disc.u) * disc.step_x
             for i in range(wp.int32(left), wp.int32(wp.floor(disc.u + wide)) + 1):
                 value = load(taps, row + wp.clamp(i, 0, disc.rows.last_x))
-                distance = fast_root(multiply_add(dx, dx, dy2))
+                distance = fast_root(fma(dx, dx, dy2))
                 dx = dx + disc.step_x
                 circle = wp.min(value[3] * disc.inverse, r)
-                square = wp.max(multiply_add(circle, circle, -disc.spread), LEAST_BEHIND)
+                square = wp.max(fma(circle, circle, -disc.spread), LEAST_BEHIND)
                 turned = fast_inverse_root(square)
                 share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(value[3] - SHARP_PX, 0.0, 1.0)
                 sums = add_weighted(sums, value, share * turned * turned)
@@ -274,21 +274,21 @@ def make_layers(half: bool):
         for j in range(disc.first, disc.last + 1):
             dy = (wp.float32(j) - disc.v) * disc.step_y
             dy2 = dy * dy
-            wide = fast_root(wp.max(multiply_add(disc.rim, disc.rim, -dy2), 0.0)) * disc.narrow
+            wide = fast_root(wp.max(fma(disc.rim, disc.rim, -dy2), 0.0)) * disc.narrow
             row = disc.rows.first + wp.clamp(j, 0, disc.rows.last_y) * disc.rows.pitch
             left = wp.ceil(disc.u - wide)
             dx = (left - disc.u) * disc.step_x
             for i in range(wp.int32(left), wp.int32(wp.floor(disc.u + wide)) + 1):
                 value = load(taps, row + wp.clamp(i, 0, disc.rows.last_x))
-                distance = fast_root(multiply_add(dx, dx, dy2))
+                distance = fast_root(fma(dx, dx, dy2))
                 dx = dx + disc.step_x
                 # It counts by its share of the light of its circle, which is spread over the circle's area.
                 circle = value[3] * disc.inverse
-                square = wp.max(multiply_add(circle, circle, -disc.spread), LEAST_BEFORE)
+                square = wp.max(fma(circle, circle, -disc.spread), LEAST_BEFORE)
                 turned = fast_inverse_root(square)
                 share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(-NEAR_PX - value[3], 0.0, 1.0)
                 sums = add_weighted(sums, value, share * turned * turned)
-                farther = wp.clamp(multiply_add(value[3], contrast, level_with), 0.0, 1.0)
+                farther = wp.clamp(fma(value[3], contrast, level_with), 0.0, 1.0)
                 hidden = add_weighted(hidden, value, farther)
         layers = Layers()
         layers.before = sums * (INVERSE_PI * disc.step_x * disc.step_y)
