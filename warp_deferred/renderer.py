@@ -16,7 +16,8 @@ import warp as wp
 from .camera import Camera
 from .channels import OUTPUTS
 from .checks import check_choice, check_count, input_error
-from .device_scene import DeviceScene, as_float_array
+from .device_arrays import as_float_array
+from .device_scene import DeviceScene
 from .effects import called_for
 from .errors import DeviceError
 from .explain import Explanation, MemoryReport

@@ -23,6 +23,8 @@ class AmbientVisibilityPass(Pass):
     """Share of ambient light that reaches each surface."""
 
     name = "ambient_visibility"
+    # Culling lights waits more than it computes; gathering fills the card.
+    beside = ("lights", "light_culling")
     doc = "find how much ambient light each surface sees"
 
     def rung(self) -> str:
