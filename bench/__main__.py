@@ -1,7 +1,7 @@
 """Command line of the benches: `python -m bench NAME`.
 
 Progress goes to stderr, the names of files written to stdout. Exit codes: 0 done, 1 the generated files are out of
-date (`report --check`), 2 an error in what was asked.
+date (`report --check`) or something got slower (`compare`), 2 an error in what was asked.
 """
 
 from __future__ import annotations
@@ -242,6 +242,23 @@ def report(
     for path in changed:
         typer.echo(f"{'out of date: ' if check else 'wrote '}{path}")
     if check and changed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def compare(
+    old: Annotated[str, typer.Argument(metavar="OLD.json", help="Result to measure by.")],
+    new: Annotated[str, typer.Argument(metavar="NEW.json", help="Result of the same bench on the same device.")],
+    everything: Annotated[bool, typer.Option("--all", help="Show what stayed the same, too.")] = False,
+    factor: Annotated[float, typer.Option("--factor", metavar="F", help="Multiply the noise by this.")] = 1.0,
+) -> None:
+    """What changed between two results beyond their noise; exit with 1 if something got slower."""
+    from . import compare as bench
+    from . import record
+
+    result = bench.compare(record.read(old), record.read(new), factor=factor)
+    typer.echo(bench.table(result, everything=everything))
+    if result.count("slower"):
         raise typer.Exit(1)
 
 

@@ -222,10 +222,11 @@ def _rung(
         plan = renderer.plan
     repeats = _fewer(renderer, plan, repeats)
     whole = _time(case, renderer, plan, repeats)
-    row: Row = whole.metrics("frame") | {"frame.repeats": whole.repeats, "memory.bytes": _held(renderer)}
+    row: Row = whole.metrics("frame") | {"memory.bytes": _held(renderer)}
     # Passes are timed by replays, in which nothing moves.
     times = {} if case.moving else _passes(plan, repeats)
-    row |= {f"pass.{name}.ms": round(value, 5) for name, value in times.items()}
+    for name, timing in times.items():
+        row |= timing.metrics(f"pass.{name}")
     if off is None:
         return row, plan
     other, off_plan = off
@@ -238,22 +239,22 @@ def _rung(
         return row, plan
     names = own_passes(plan, off_plan)
     # What an effect adds to passes that run anyway: look-ups in shade, views in raster, more samples of all.
-    shared = {name: times[name] - other[f"pass.{name}.ms"] for name in times if f"pass.{name}.ms" in other}
+    shared = {n: t.median - other[f"pass.{n}.ms"] for n, t in times.items() if f"pass.{n}.ms" in other}
     row["shared.difference_ms"] = round(sum(shared.values()), 5)
     row["shared.passes"] = {name: round(value, 5) for name, value in shared.items()}
     if names:
         moved = {report.name: report.bytes or 0 for report in plan.reports(measure=False) if report.runs}
-        own = sum(times[name] for name in names)
+        own = sum(times[name].median for name in names)
         row |= {"own.passes": " + ".join(names), "own.ms": round(own, 5)}
         row |= floor("own", own, sum(moved[name] for name in names), bandwidth)
     return row, plan
 
 
-def _passes(plan: Plan, repeats: int) -> dict[str, float]:
-    """Milliseconds of each pass in a frame, over all its samples."""
+def _passes(plan: Plan, repeats: int) -> dict[str, Timing]:
+    """Time of each pass in a frame, over all its samples."""
     program = plan.resources.program
     counts = {s.name: plan.replays if s.part == SAMPLE else 1 for s in program.sections}
-    return {name: timing.median * counts[name] for name, timing in time_passes(program, repeats=repeats).items()}
+    return {name: timing.times(counts[name]) for name, timing in time_passes(program, repeats=repeats).items()}
 
 
 def _held(renderer: Renderer) -> int:

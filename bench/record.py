@@ -115,7 +115,7 @@ def read(path: str | os.PathLike[str]) -> Record:
     """Read a result back.
 
     Raises:
-        LoadError: If it is no JSON, or a key is missing, or a row holds a number that is not finite.
+        LoadError: If it is no JSON, or a key is missing, or a row is none or holds a number that is not finite.
     """
     source = Path(path)
     try:
@@ -128,6 +128,8 @@ def read(path: str | os.PathLike[str]) -> Record:
             f"{source}: expected the keys {', '.join(REQUIRED)}, got none of {missing}; run the bench again"
         )
     for k, row in enumerate(record["rows"]):
+        if not isinstance(row, dict):
+            raise LoadError(f"{source}: rows[{k}]: expected figures by name, got {row!r}; run the bench again")
         for name, value in row.items():
             if isinstance(value, float) and not math.isfinite(value):
                 raise LoadError(

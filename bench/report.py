@@ -59,6 +59,7 @@ Written by `python -m bench report` from `bench/results/*.json`; do not edit. Th
 ```
 python -m bench NAME --device cuda:0 --json bench/results/NAME.json     # NAME: {names}
 python -m bench report
+python -m bench compare OLD.json NEW.json    # what got slower beyond the noise; exit code 1 if anything did
 ```
 
 Figures are medians; on CUDA they are device times of graph replays, at least 50, warmed up before, with no pause

@@ -62,12 +62,17 @@ class Timing:
         low, middle, high = np.percentile(np.asarray(values, np.float64), (5, 50, 95))
         return cls(float(middle), float(low), float(high), len(values))
 
+    def times(self, count: int) -> Timing:
+        """Time of so many runs, had all of them been as the one that was measured."""
+        return Timing(count * self.median, count * self.p5, count * self.p95, self.repeats)
+
     def metrics(self, name: str) -> dict[str, float]:
-        """Dotted metrics: `name.ms`, `name.ms_p5`, `name.ms_p95`, to 10 ns."""
+        """Dotted metrics: `name.ms`, `name.ms_p5`, `name.ms_p95`, to 10 ns, and `name.repeats`."""
         return {
             f"{name}.ms": round(self.median, 5),
             f"{name}.ms_p5": round(self.p5, 5),
             f"{name}.ms_p95": round(self.p95, 5),
+            f"{name}.repeats": self.repeats,
         }
 
 
