@@ -138,7 +138,7 @@ def _notes(old: Record, new: Record) -> Iterator[str]:
             yield f"the {state} result is of files that no commit has ({record['commit']})"
     if (before := old.get("copy_bytes_per_s")) and (after := new.get("copy_bytes_per_s")):
         if abs(after / before - 1.0) > _drift(old):
-            yield f"the device copies {after / 1e9:,.0f} GB/s and copied {before / 1e9:,.0f}: is it alone, and the same?"
+            yield f"the device copies {after / 1e9:,.0f} GB/s and copied {before / 1e9:,.0f}: is it alone?"
 
 
 def _rows(record: Record) -> dict[str, Row]:

@@ -23,9 +23,9 @@ __all__ = ["ALARM", "CLOCK_MS", "DRIFT", "Sample", "limit", "student"]
 
 #: Chance that a comparison of results of the same code names any time.
 ALARM = 0.05
-#: Share of a time by which runs of the same code differ. cuda: of 67 medians of passes that did the same work at commits
-#: 44ef234 and 00d399c on an H200 (culling, resolve, lights, display), 62 differ by at most this and all by at most
-#: this and `CLOCK_MS`. cpu: with it, 4 runs of `frame` beside other work on 2 cores name none of 8 times, in any pair.
+#: Share of a time by which runs of the same code differ. cuda: 67 medians of passes that did the same work at commits
+#: 44ef234 and 00d399c on an H200 (clusters, resolve, lights, culling, display): 62 differ by at most this, all by at
+#: most this and `CLOCK_MS`. cpu: with it, 4 runs of `frame` beside other work on 2 cores name no time in any pair.
 DRIFT = {"cuda": 0.03, "cpu": 0.10}
 #: Two events, each told to half a microsecond (CUDA Runtime API, `cudaEventElapsedTime`) [ms].
 CLOCK_MS = 0.001
@@ -57,11 +57,11 @@ class Sample:
 def student(chance: float, freedom: float) -> float:
     """Value that Student's t exceeds, up or down, with a chance.
 
-    With t = √ν tan θ the density is that of cos^(ν-1) θ, which a sum over equal steps integrates.
+    With t = √n tan θ the density is that of cos^(n-1) θ, which a sum over equal steps integrates.
 
     Args:
         chance: Of both tails together, in (0, 1).
-        freedom: Degrees of freedom ν, >= 1.
+        freedom: Degrees of freedom n, >= 1.
     """
     angle = np.linspace(0.0, 0.5 * math.pi, NODES)
     density = np.maximum(np.cos(angle), 0.0) ** (freedom - 1.0)

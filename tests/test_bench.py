@@ -95,7 +95,8 @@ def test_reachable_mean_is_kept_or_cut():
 def test_spread_of_known_values():
     result = timing.Timing.of(range(101))
     assert (result.median, result.p5, result.p95, result.repeats) == (50.0, 5.0, 95.0, 101)
-    assert result.metrics("a.b") == {"a.b.ms": 50.0, "a.b.ms_p5": 5.0, "a.b.ms_p95": 95.0}
+    assert result.metrics("a.b") == {"a.b.ms": 50.0, "a.b.ms_p5": 5.0, "a.b.ms_p95": 95.0, "a.b.repeats": 101}
+    assert result.times(3) == timing.Timing(150.0, 15.0, 285.0, 101)
 
 
 @pytest.mark.parametrize(

@@ -163,6 +163,19 @@ def test_few_repeats_widen_the_noise():
     assert compare.compare(*rows[2:]).changes[2].noise > few
 
 
+@pytest.mark.parametrize(
+    "bench, told, time",
+    [("host", "calls", "host.us"), ("effects", "frame.repeats", "pass.shade.ms"), ("frame", "a.repeats", "a.ms")],
+)
+def test_repeats_are_found_under_their_names(bench, told, time):
+    def noise_of(repeats):
+        row = {"case": "c", time: 5.0, f"{time}_p5": 4.0, f"{time}_p95": 6.0, told: repeats}
+        result = made(np.random.default_rng(0)) | {"bench": bench, "rows": [row]}
+        return next(c.noise for c in compare.compare(result, result).changes if c.metric == time)
+
+    assert noise_of(10) > 1.5 * noise_of(100) > 0.0
+
+
 # ---- rows and figures
 
 
