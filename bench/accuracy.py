@@ -42,8 +42,7 @@ MOVING_REPEATS = 15
 #: Part of the picture FLIP is taken of [px].
 WINDOW = (640, 360)
 #: Settings of shadow maps in a quick run.
-QUICK = ("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128", "shadow.samples=16",
-         "ambient_visibility.rays=16", "depth_of_field.samples=16", "motion_blur.samples=16")  # fmt: skip
+QUICK = ("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128")
 
 Row = dict[str, Any]
 Note = Callable[[str], Any]
@@ -73,7 +72,7 @@ class _Run:
         return 3 if self.quick else REPEATS if self.device.is_cuda else CPU_REPEATS
 
     def at(self, ladder: Ladder, rung: str, more: tuple[str, ...] = ()) -> Settings:
-        """Settings of a rung; a quick run takes fewer samples."""
+        """Settings of a rung; a quick run has small shadow maps."""
         return ladder.at(rung, (*(QUICK if self.quick else ()), *more), self.settings)
 
 
@@ -248,6 +247,8 @@ class _Climb:
         picture = self._shown(self.renderer, settings, "display")
         if measure.channel is not None:
             return self.renderer.plan, picture, measure.channel(self.renderer.plan)
+        if measure.absent is not None and getattr(settings, self.ladder.name).rung == "off":
+            return self.renderer.plan, picture, np.full(picture.shape[:2], measure.absent, np.float32)
         if self.other is None:
             return self.renderer.plan, picture, picture
         return self.renderer.plan, picture, self._shown(self.other, settings, measure.output)

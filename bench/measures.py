@@ -38,6 +38,7 @@ class Measure:
         threshold: Error above which a pixel counts into the share that is off, in the unit.
         output: Output of the renderer that is compared; empty: the picture, or what `channel` reads.
         channel: Reads what is compared from a plan after its frame.
+        absent: What the output is everywhere at rung `off`, where it cannot be asked for; None: it can.
     """
 
     unit: str
@@ -46,6 +47,7 @@ class Measure:
     threshold: float
     output: str = ""
     channel: Callable[[Plan], Values] | None = None
+    absent: float | None = None
 
 
 def decoded(picture: np.ndarray) -> np.ndarray:
@@ -142,7 +144,8 @@ MEASURES: dict[str, Measure] = {
     "degrees": Measure("degrees", "Angle between normals as `shade` reads them.", _degrees, 0.1, channel=gbuffer_normals),
     "direct_visibility": Measure("visibility", "Share of direct diffuse light that arrives, over lit pixels.", _direct,
                                  0.1, "diffuse"),
-    "visibility": Measure("visibility", "Difference of ambient visibility.", _absolute, 0.1, "ambient_visibility"),
+    "visibility": Measure("visibility", "Difference of ambient visibility.", _absolute, 0.1, "ambient_visibility",
+                          absent=1.0),
     "scattered_light": Measure("share of mean light", "Difference of scattered light over its mean.", _relative, 0.1,
                                channel=scattered),
     "compressed_radiance": Measure("x / (1 + x) of radiance", "Difference of x / (1 + x) of linear radiance.",
