@@ -21,6 +21,7 @@ from warp_deferred import Renderer, Scene, Settings
 from warp_deferred.plan import Plan
 
 from .accuracy_images import write_strip
+from .accuracy_tables import FORMAT
 from .effects import STEP, reason
 from .ladders import LADDERS, SCENES, TWIN, Ladder, narrowed, stand_size, twin_size
 from .measures import MEASURES, picture_errors, stage_errors
@@ -29,18 +30,14 @@ from .record import Record
 from .timing import REPEATS, Timing, time_moving, time_passes, time_program
 from .twin import twin_outputs
 
-__all__ = ["FORMAT", "run"]
+__all__ = ["run"]
 
-#: Number of the rows' layout; results of another one are refused.
-FORMAT = 1
 #: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times, by the host's clock.
 SLOW_MS, SLOW_REPEATS = 20.0, 3
 #: Repeats of what is timed on the CPU.
 CPU_REPEATS = 5
 #: Repeats of frames that move, each of which waits for its own end.
 MOVING_REPEATS = 15
-#: Part of the picture FLIP is taken of [px].
-WINDOW = (640, 360)
 #: Settings of shadow maps in a quick run.
 QUICK = ("shadow.directional_size=256", "shadow.spot_size=256", "shadow.point_size=128")
 
@@ -238,7 +235,7 @@ class _Climb:
     def _errors(self, picture: np.ndarray, own: np.ndarray) -> Row:
         reference = self.ladder.reference
         errors = stage_errors(MEASURES[self.ladder.measure], own, self.own[reference], self.own.get("off"))
-        shown = picture_errors(picture, self.pictures[reference], WINDOW)
+        shown = picture_errors(picture, self.pictures[reference])
         return _prefixed("stage", errors) | _prefixed("error", shown)
 
     def _look(self, settings: Settings) -> tuple[Plan, np.ndarray, np.ndarray]:

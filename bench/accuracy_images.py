@@ -1,4 +1,4 @@
-"""Strips of the bench `accuracy`: a cut of each rung's picture where the worst rung is farthest off, and differences."""
+"""Strips of the bench `accuracy`: each rung where the cheapest one is farthest off, and differences."""
 
 from __future__ import annotations
 

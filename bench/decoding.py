@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 import warp as wp
-
 from warp_deferred.kernels.encoding import make_gbuffer_codec
 from warp_deferred.kernels.structs import MODULE_OPTIONS, GBuffer
+
 from warp_deferred.passes.resolve import gbuffer_codec, make_gbuffer
 from warp_deferred.plan import Plan
 

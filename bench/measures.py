@@ -16,8 +16,10 @@ from warp_deferred.plan import Plan
 
 from .decoding import gbuffer_normals
 
-__all__ = ["MEASURES", "Measure", "decoded", "picture_errors", "scattered", "stage_errors", "stored"]
+__all__ = ["MEASURES", "WINDOW", "Measure", "decoded", "picture_errors", "scattered", "stage_errors", "stored"]
 
+#: Part of the picture FLIP is taken of [px]: it needs a second for a million pixels.
+WINDOW = (640, 360)
 #: Codes of `display` -> linear light (IEC 61966-2-1).
 _CODES = np.arange(256) / 255.0
 DECODED = np.where(_CODES <= 0.04045, _CODES / 12.92, ((_CODES + 0.055) / 1.055) ** 2.4).astype(np.float32)
@@ -115,7 +117,9 @@ def _direct(actual: Values, reference: Values, off: Values | None) -> Values:
     """Share of direct diffuse light that arrives, over pixels that some light reaches; unshadowed light is `off`'s."""
     light = off.sum(axis=-1, dtype=np.float64)
     lit = light > 0.01 * light.mean()
-    return np.abs(actual.sum(axis=-1, dtype=np.float64)[lit] - reference.sum(axis=-1, dtype=np.float64)[lit]) / light[lit]
+    return (
+        np.abs(actual.sum(axis=-1, dtype=np.float64)[lit] - reference.sum(axis=-1, dtype=np.float64)[lit]) / light[lit]
+    )
 
 
 def _compressed(actual: Values, reference: Values, off: Values | None) -> Values:
@@ -141,7 +145,8 @@ MEASURES: dict[str, Measure] = {
                               _relative, 0.0, "color"),
     "stored_radiance": Measure("share of mean radiance", "Difference of radiance as `display` finds it, over its mean.",
                                _relative, 0.01, channel=stored),
-    "degrees": Measure("degrees", "Angle between normals as `shade` reads them.", _degrees, 0.1, channel=gbuffer_normals),
+    "degrees": Measure("degrees", "Angle between normals as `shade` reads them.", _degrees, 0.1,
+                       channel=gbuffer_normals),
     "direct_visibility": Measure("visibility", "Share of direct diffuse light that arrives, over lit pixels.", _direct,
                                  0.1, "diffuse"),
     "visibility": Measure("visibility", "Difference of ambient visibility.", _absolute, 0.1, "ambient_visibility",
@@ -156,7 +161,7 @@ MEASURES: dict[str, Measure] = {
 
 
 def stage_errors(measure: Measure, actual: Values, reference: Values, off: Values | None) -> dict[str, float]:
-    """Errors of a stage alone: `rmse`, `max`, and `off_share`, the pixels (or components) off by more than the threshold."""
+    """Errors of a stage alone: `rmse`, `max`, and in `off_share` the pixels that are off by more than the threshold."""
     errors = measure.errors(actual, reference, off)
     if not errors.size:
         return {"rmse": 0.0, "max": 0.0, "off_share": 0.0}
@@ -167,20 +172,19 @@ def stage_errors(measure: Measure, actual: Values, reference: Values, off: Value
     }
 
 
-def picture_errors(actual: np.ndarray, reference: np.ndarray, window: tuple[int, int]) -> dict[str, Any]:
-    """Errors of `display` in [0, 1]: `rmse` and `max` over the whole picture, `flip` over a window in its middle.
+def picture_errors(actual: np.ndarray, reference: np.ndarray) -> dict[str, float]:
+    """Errors of `display` in [0, 1]: `rmse` and `max` over the whole picture, `flip` over `WINDOW` in its middle.
 
     Args:
         actual: Picture (height, width, 4) uint8.
         reference: The reference rung's.
-        window: Width and height of the part FLIP is taken of [px]; it needs a second for a million pixels.
     """
     from warp_deferred.compare import compare
 
     apart = np.abs(actual[..., :3].astype(np.int16) - reference[..., :3])
     row = {"rmse": _digits(np.sqrt(np.mean(np.square(apart, dtype=np.float64))) / 255.0)}
     row["max"] = _digits(apart.max() / 255.0)
-    (height, width), (w, h) = actual.shape[:2], window
+    (height, width), (w, h) = actual.shape[:2], WINDOW
     y, x = max(0, (height - h) // 2), max(0, (width - w) // 2)
     pieces = [image[y : y + h, x : x + w] for image in (actual, reference)]
     if np.array_equal(pieces[0][..., :3], pieces[1][..., :3]):

@@ -26,6 +26,8 @@ except ImportError as error:  # told here, where a plot was asked for
         "matplotlib: expected it for plots, got no such module; install it with: pip install -e '.[dev]'"
     ) from error
 
+from . import accuracy_plots  # it imports matplotlib, too
+
 __all__ = ["check_target", "draw"]
 
 #: Colour-blind safe (Okabe and Ito 2008), in the order in which series take them.
@@ -51,15 +53,21 @@ def check_target(path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def draw(record: Record, path: str | os.PathLike[str]) -> Path:
+def draw(record: Record, path: str | os.PathLike[str], part: str = "") -> Path:
     """Draw a result's plot as PNG; the same result gives the same bytes under the same matplotlib.
+
+    Args:
+        record: The result.
+        path: Where to.
+        part: A ladder of a result of the bench `accuracy`; the whole result if left out.
 
     Raises:
         LoadError: If the name does not end in .png or the file cannot be written.
     """
     target = check_target(path)
     with matplotlib.rc_context(STYLE):
-        figure = _DRAW[record["bench"]](record)
+        figure = accuracy_plots.ladder_figure(record, part, COLORS, PALE, _device(record)) if part else None
+        figure = figure or _DRAW[record["bench"]](record)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             # Without the version in the file a picture changes only when its pixels do.
@@ -263,6 +271,11 @@ def _effects(record: Record) -> Figure:
     return figure
 
 
+def _accuracy(record: Record) -> Figure:
+    return accuracy_plots.overview_figure(record, COLORS, PALE, _device(record))
+
+
 _DRAW = {
     "triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host, "effects": _effects,
+    "accuracy": _accuracy,
 }  # fmt: skip
