@@ -28,8 +28,8 @@ LEGEND = (
     "frame takes more than without; below zero where that drowns in the noise. Of frame: as a share of all passes, or "
     "of the frame. Error: the stage's own, root of the mean square, against the reference rung; over: the share of "
     "pixels (or components) that are off by more than the threshold stated. RMSE, max: of `display` in [0, 1] over the "
-    "picture; FLIP: of its middle, {window} pixels at most. ± stands for the reference's own standard error, where it samples. Medians; a frame that takes more than 20 ms is "
-    "timed three times."
+    "picture; FLIP: of its middle, {window} pixels at most. ± stands for the reference's own standard error, where it "
+    "samples. Medians; a frame that takes more than 20 ms is timed three times."
 )
 
 
@@ -123,7 +123,7 @@ def _errors(row: Row) -> list[str]:
                  for key in ("noise.stage_rmse", "noise.error_rmse")]  # fmt: skip
         return [noise[0], "", "", noise[1], "", ""]
     return [
-        f"{row['stage.rmse']:.3g}", f"{row['stage.max']:.3g}", f"{100.0 * row['stage.off_share']:.2g} %",
+        f"{row['stage.rmse']:.3g}", f"{row['stage.max']:.3g}", f"{100.0 * row['stage.off_share']:.3g} %",
         *(f"{row[key]:.3g}" if key in row else "" for key in ("error.rmse", "error.max", "error.flip")),
     ]  # fmt: skip
 

@@ -53,7 +53,7 @@ def gbuffer_normals(plan: Plan) -> np.ndarray:
     # Later passes may have laid their buffers over the G-buffer.
     run_until(plan.resources.program, "shade")
     channels = plan.resources.channels
-    depth = channels["depth"].numpy()
+    depth = channels["depth"].numpy().copy()
     count = plan.request.sizes[0].width * plan.request.sizes[0].height
     normals = wp.zeros(len(depth), dtype=wp.vec3, device=plan.resources.device)
     wp.launch(
@@ -64,5 +64,6 @@ def gbuffer_normals(plan: Plan) -> np.ndarray:
         device=plan.resources.device,
         block_dim=BLOCK_DIM,
     )
-    surface = (channels["keys"].numpy()[:count] != 0)[:, None]
+    # Where nothing is seen nothing was written.
+    surface = (np.isfinite(depth[:count]) & (depth[:count] > 0.0))[:, None]
     return np.where(surface, normals.numpy()[:count], np.float32(0.0))

@@ -32,12 +32,15 @@ class Stand:
         source: Built-in scene with its parameters.
         small: The scene on the CPU; `source` if left out.
         tiny: The scene of a quick run; `small` if left out.
+        step: Seconds from one frame to the next where it moves: slow scenes are shown faster, so that motions span
+            some pixels.
     """
 
     title: str
     source: str
     small: str = ""
     tiny: str = ""
+    step: float = 8.0 / 30.0
 
     def chosen(self, device_is_cuda: bool, quick: bool) -> str:
         """The scene for a kind of device."""
@@ -66,7 +69,7 @@ SCENES: dict[str, Stand] = {
     "corner": Stand("contacts", "corner"),
     "glow": Stand("brighter than white", "glow"),
     "focus": Stand("out of focus", "focus"),
-    "motion": Stand("in motion", "motion"),
+    "motion": Stand("in motion", "motion", step=1.0 / 30.0),
 }  # fmt: skip
 _FOUR = ("many_lights", "hundred_lights", "spheres_50k", "shadows")
 

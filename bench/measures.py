@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_deferred.errors import Error
 from warp_deferred.plan import Plan
 
 from .decoding import gbuffer_normals
@@ -161,8 +162,17 @@ MEASURES: dict[str, Measure] = {
 
 
 def stage_errors(measure: Measure, actual: Values, reference: Values, off: Values | None) -> dict[str, float]:
-    """Errors of a stage alone: `rmse`, `max`, and in `off_share` the pixels that are off by more than the threshold."""
+    """Errors of a stage alone: `rmse`, `max`, and in `off_share` the pixels that are off by more than the threshold.
+
+    Raises:
+        Error: If an error is not finite.
+    """
     errors = measure.errors(actual, reference, off)
+    if not np.isfinite(errors).all():
+        raise Error(
+            f"stage errors [{measure.unit}]: expected finite ones, got {int((~np.isfinite(errors)).sum())} that are not; "
+            "look at the stage's output"
+        )
     if not errors.size:
         return {"rmse": 0.0, "max": 0.0, "off_share": 0.0}
     return {
