@@ -124,8 +124,9 @@ WORDS: dict[str, Words] = {
     ),
     "depth_of_field": Words(
         "Without an aperture nothing changes to the bit.",
-        "As stated in the settings, quoted below, for circles of at most 16 pixels radius. At 1920x1080 circles are "
-        "larger, and the bound does not apply.",
+        "As stated in the settings, quoted below, for circles of at most 16 pixels radius: it was found on the scene "
+        "`focus`, and the table shows where others exceed it. Pictures here are taken without anti-aliasing, so that "
+        "every edge out of focus is also a jagged one against a smooth one.",
         "What one view through the middle of the lens does not see has to be guessed.",
     ),
     "motion_blur": Words(

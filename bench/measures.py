@@ -169,10 +169,8 @@ def stage_errors(measure: Measure, actual: Values, reference: Values, off: Value
     """
     errors = measure.errors(actual, reference, off)
     if not np.isfinite(errors).all():
-        raise Error(
-            f"stage errors [{measure.unit}]: expected finite ones, got {int((~np.isfinite(errors)).sum())} that are not; "
-            "look at the stage's output"
-        )
+        count = int((~np.isfinite(errors)).sum())
+        raise Error(f"errors in {measure.unit}: expected finite ones, got {count} that are not; look at the output")
     if not errors.size:
         return {"rmse": 0.0, "max": 0.0, "off_share": 0.0}
     return {
