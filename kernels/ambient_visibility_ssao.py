@@ -19,8 +19,8 @@ import numpy as np
 import warp as wp
 
 from .ambient_visibility import OPEN_WORD, affine_depth, fetch_point, pack_visibility, point_in_view, sample_level
-from .ambient_visibility_traced import cosine_directions, tangent_of
 from .encoding import make_gbuffer_codec
+from .hemisphere import cosine_directions, tangent_of
 from .intrinsics import load_vec4, load_vec4i
 from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import MODULE_OPTIONS, ORTHOGRAPHIC, GBuffer, View

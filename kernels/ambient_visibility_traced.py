@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import functools
 
-import numpy as np
 import warp as wp
 
 from .bilateral import final_visibility
 from .encoding import make_gbuffer_codec
+from .hemisphere import tangent_of
 from .intrinsics import load_vec4, load_vec4i
 from .projection import pixel_in_block, pixel_index, relative_position
 from .ray_scene import RayScene, make_blocked
@@ -36,35 +36,12 @@ HASH_WORD = wp.constant(wp.uint32(277803737))
 VARIANTS = [(("compact", "oct24", True),), (("full", "float32", True),)]
 
 
-def cosine_directions(count: int) -> np.ndarray:
-    """Unit vectors around +z, cosine-weighted and of low discrepancy; (count, 4) float32, fourth component 0."""
-    k = np.arange(count, dtype=np.uint64)
-    inverse, base = np.zeros(count), 0.5
-    while k.any():
-        inverse += base * (k & np.uint64(1)).astype(float)
-        k, base = k >> np.uint64(1), base * 0.5
-    radius2 = (np.arange(count) + 0.5) / count
-    angle = 2.0 * np.pi * inverse
-    out = np.zeros((count, 4))
-    out[:, 0], out[:, 1] = np.sqrt(radius2) * np.cos(angle), np.sqrt(radius2) * np.sin(angle)
-    out[:, 2] = np.sqrt(1.0 - radius2)
-    return out.astype(np.float32)
-
-
 @wp.func
 def pixel_hash(x: wp.int32, y: wp.int32):
     """32 bits that look random, of a pixel (Jarzynski and Olano 2020, "Hash Functions for GPU Rendering", pcg)."""
     state = (wp.uint32(x) + wp.uint32(y) * HASH_ROW) * HASH_SCALE + HASH_SHIFT
     word = ((state >> ((state >> wp.uint32(28)) + wp.uint32(4))) ^ state) * HASH_WORD
     return (word >> wp.uint32(22)) ^ word
-
-
-@wp.func
-def tangent_of(n: wp.vec3):
-    """Unit vector across a unit normal (Duff et al. 2017, "Building an Orthonormal Basis, Revisited")."""
-    sign = wp.where(n[2] >= 0.0, 1.0, -1.0)
-    a = -1.0 / (sign + n[2])
-    return wp.vec3(1.0 + sign * n[0] * n[0] * a, sign * n[0] * n[1] * a, -sign * n[0])
 
 
 @functools.cache

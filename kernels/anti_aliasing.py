@@ -28,7 +28,7 @@ from __future__ import annotations
 import warp as wp
 
 from .color import srgb_code
-from .intrinsics import add_weighed, load_vec4i, load_word, weigh_bytes
+from .intrinsics import load_vec4i, load_word, weigh_bytes
 from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import View
 
@@ -76,76 +76,61 @@ def low_pass_share(difference: wp.int32, contrast: wp.int32):
 
 
 @wp.func
-def pair_luma(picture: wp.array[wp.uint32], i: wp.int32, partner: wp.int32):
-    """Sum of luma of a pixel and its partner across the edge."""
-    return add_weighed(load_word(picture, i), LUMA_WEIGHTS, weigh_bytes(load_word(picture, i + partner), LUMA_WEIGHTS))
-
-
-@wp.func
-def find_ends(
+def find_end(
     picture: wp.array[wp.uint32],
     start: wp.int32,
     partner: wp.int32,
     step: wp.int32,
-    rooms: wp.vec2i,
+    room: wp.int32,
     level: wp.int32,
     limit: wp.int32,
 ):
-    """(pixels to the end of an edge, change of luma there), back and ahead; (STEPS + 1, 0) where none is found.
+    """(pixels to the end of an edge, change of luma there); (STEPS + 1, 0) where none is found.
 
-    Both ways are looked along at once: their loads wait for each other no longer. A view's border is no end: the edge
-    goes on behind it. There the last pixel is looked at again, which was none.
+    A view's border is no end: the edge goes on behind it.
 
     Args:
         picture: The picture.
         start: Index of the pixel.
         partner: What leads from a pixel to its partner across the edge.
         step: What leads to the next pixel along the edge.
-        rooms: Pixels up to the view's border, back and ahead.
+        room: Pixels up to the view's border.
         level: Sum of luma of the pixel and its partner.
-        limit: Half the change of that sum that makes an end, > 0.
+        limit: Half the change of that sum that makes an end.
     """
-    back = wp.int32(STEPS + 1)
-    ahead = wp.int32(STEPS + 1)
-    back_change = wp.int32(0)
-    ahead_change = wp.int32(0)
-    reach_back, reach_ahead = wp.min(rooms[0], STEPS), wp.min(rooms[1], STEPS)
-    for k in range(1, wp.max(reach_back, reach_ahead) + 1):
-        behind = pair_luma(picture, start - wp.min(k, reach_back) * step, partner) - level
-        before = pair_luma(picture, start + wp.min(k, reach_ahead) * step, partner) - level
-        if back > STEPS and 2 * wp.abs(behind) >= limit:
-            back = k
-            back_change = behind
-        if ahead > STEPS and 2 * wp.abs(before) >= limit:
-            ahead = k
-            ahead_change = before
-        if wp.max(back, ahead) <= STEPS:
+    pixels = wp.int32(STEPS + 1)
+    change = wp.int32(0)
+    i = wp.int32(start)
+    for k in range(1, wp.min(room, STEPS) + 1):
+        i += step
+        here = luma(picture, i) + luma(picture, i + partner) - level
+        if 2 * wp.abs(here) >= limit:
+            pixels = k
+            change = here
             break
-    return wp.vec4i(back, back_change, ahead, ahead_change)
+    return wp.vec2i(pixels, change)
 
 
 @wp.func
-def edge_share(
-    picture: wp.array[wp.uint32],
-    i: wp.int32,
-    partner: wp.int32,
-    step: wp.int32,
-    rooms: wp.vec2i,
-    own: wp.int32,
-    other: wp.int32,
-):
-    """How much of the pixel lies beyond the edge between it and its partner, in [0, 1/2); their luma differs.
+def edge_share(picture: wp.array[wp.uint32], i: wp.int32, partner: wp.int32, step: wp.int32, rooms: wp.vec2i):
+    """How much of the pixel lies beyond the edge between it and its partner, in [0, 1/2).
 
     The true edge crosses the one we see in the middle of its run of n pixels and is half a pixel off at its ends, so
     the pixel k from the nearer end has 1/2 - (k - 1/2) / n of it on the other side, on the one side that the sign of
     the change at that end tells.
     """
-    ends = find_ends(picture, i, partner, step, rooms, own + other, wp.abs(other - own))
-    change = wp.where(ends[2] < ends[0], ends[3], ends[1])
+    own = luma(picture, i)
+    other = luma(picture, i + partner)
+    limit = wp.abs(other - own)
+    back = find_end(picture, i, partner, -step, rooms[0], own + other, limit)
+    ahead = find_end(picture, i, partner, step, rooms[1], own + other, limit)
+    change = back[1]
+    if ahead[0] < back[0]:
+        change = ahead[1]
     # At an end that gets like the pixel itself its edge turns away from it.
     if change * (wp.where(own > other, 1, -1)) >= 0:
         return wp.float32(0.0)
-    return wp.float32(wp.abs(ends[2] - ends[0])) / wp.float32(2 * (ends[2] + ends[0] - 1))
+    return wp.float32(wp.abs(ahead[0] - back[0])) / wp.float32(2 * (ahead[0] + back[0] - 1))
 
 
 @wp.func
@@ -212,9 +197,8 @@ def anti_aliasing_kernel(
         step = 1
         rooms = wp.vec2i(x, right_room)
     share = low_pass_share(2 * (n + s + w + e) + nw + ne + sw + se - 12 * m, contrast)
-    other = luma(picture, i + partner)
-    if other != m:
-        share = wp.max(share, edge_share(picture, i, partner, step, rooms, m, other))
+    if luma(picture, i + partner) != m:
+        share = wp.max(share, edge_share(picture, i, partner, step, rooms))
     if share > 0.0:
         code = mix_codes(code, picture[i + partner], share, linear, thresholds)
     out_display[i] = code

@@ -117,7 +117,7 @@ def staged_depth(
 
 @functools.cache
 def make_draw_bins_kernel(depth_only: bool, behind: bool):
-    """Kernel that draws the tiles from a first one on.
+    """Kernel that draws the tiles from a first one on, of one kind of views.
 
     Args:
         depth_only: Of views that keep 32-bit depth keys only, else of those that keep ids.
@@ -195,6 +195,8 @@ def make_draw_bins_kernel(depth_only: bool, behind: bool):
             return
         tile = load_vec4i(bin_tiles, b)
         view = views[tile[0]]
+        if (view.depth_only != 0) != wp.static(depth_only):
+            return
         i, j = lane % BIN_TILE, lane // BIN_TILE
         x, y = tile[1] + i, tile[2] + j
         best0, best1 = load_key(out_target, view, x, y), load_key(out_target, view, x, y + ROWS)

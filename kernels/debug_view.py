@@ -202,7 +202,7 @@ def show_count(shown: Shown, view: View, index: wp.int32, x: wp.int32, y: wp.int
 def show_tiles(shown: Shown, view: View, index: wp.int32, x: wp.int32, y: wp.int32, i: wp.int32):
     """Heat of the number of bits of the tile's mask, with the surface showing through; tiles have a dark edge."""
     shift = shown.masks.tile_shift
-    tile = view.tile_offset + (y >> shift) * view.tiles_x + (x >> shift)
+    tile = view.tile_offset - shown.masks.first_tile + (y >> shift) * view.tiles_x + (x >> shift)
     count = wp.int32(0)
     for k in range(shown.masks.words_per_tile):
         bits = shown.masks.words[tile * shown.masks.words_per_tile + k]

@@ -223,18 +223,6 @@ def fast_root(value: wp.float32) -> wp.float32:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    return __fmaf_rn(a, b, c);
-#else
-    return a * b + c;
-#endif
-""")
-def multiply_add(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
-    """Yield a * b + c, in one instruction and rounded once on CUDA, where files are compiled to round twice."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
     return wp::vec_t<4, wp::float32>(__fmaf_rn(value[0], weight, sum[0]), __fmaf_rn(value[1], weight, sum[1]),
         __fmaf_rn(value[2], weight, sum[2]), sum[3] + weight);
 #else

@@ -14,10 +14,10 @@ from .intrinsics import (
     add_weighted,
     fast_inverse_root,
     fast_root,
+    fma,
     load_double_word,
     load_float,
     load_vec4,
-    multiply_add,
     pack_half4,
     unpack_half3,
 )
@@ -121,6 +121,47 @@ def spread_of(inverse: wp.float32):
     return 0.33333334 + 2.6666667 * inverse * inverse
 
 
+@wp.struct
+class Disc:
+    """Texels of a level around a place; lengths in texels along the axis with more pixels to a metre."""
+
+    rows: Rows
+    inverse: wp.float32  # of a texel's side [px]
+    spread: wp.float32
+    u: wp.float32  # the place, from the middle of the first texel
+    v: wp.float32
+    step_x: wp.float32  # distance from one texel to the next
+    step_y: wp.float32
+    narrow: wp.float32  # 1 / step_x
+    rim: wp.float32  # distance from which on no tap counts
+    first: wp.int32  # rows it reaches
+    last: wp.int32
+
+
+@wp.func
+def disc_around(
+    view: View, tiles: wp.int32, x: wp.float32, y: wp.float32, radius: wp.float32, texels: wp.int32, least: wp.float32
+):
+    """The texels in a circle [px], at the level at which it has at most so many to its rim; `least`: one of LEAST_*."""
+    level = level_of(radius, texels)
+    shape = circle_shape(view)
+    disc = Disc()
+    disc.rows = rows_of(view, tiles, level)
+    disc.inverse = 1.0 / wp.float32(1 << level)
+    disc.spread = spread_of(disc.inverse)
+    disc.u = x * disc.inverse - 0.5
+    disc.v = y * disc.inverse - 0.5
+    disc.step_x = 1.0 / shape[0]
+    disc.step_y = 1.0 / shape[1]
+    disc.narrow = shape[0]
+    r = radius * disc.inverse
+    disc.rim = wp.sqrt(wp.max(r * r - disc.spread, least)) + 0.5
+    tall = disc.rim * shape[1]
+    disc.first = wp.int32(wp.ceil(disc.v - tall))
+    disc.last = wp.int32(wp.floor(disc.v + tall))
+    return disc
+
+
 @functools.cache
 def make_taps(half: bool):
     """(load, store) functions of a texel: colour and signed radius, or colour and coverage."""
@@ -149,26 +190,34 @@ def make_taps(half: bool):
 
 
 @wp.func
+def side(radius: wp.float32):
+    """-1 before the plane in focus, 1 behind it and where a circle hardly leaves its pixel: what is sharp votes too."""
+    return wp.clamp(2.0 * radius + 2.0, -1.0, 1.0)
+
+
+@wp.func
 def belongs(radius: wp.float32, near: wp.bool, inverse: wp.float32):
     """Weight of a child in a texel of that side: 0 on the other side, or where its circle is much the smaller."""
-    if (radius < 0.0) != near:
+    if (side(radius) < 0.0) != near:
         return wp.float32(0.0)
-    return wp.clamp(2.0 * wp.abs(radius) * inverse - 0.5, 0.0, 1.0)
+    # Where the largest is a point, all are.
+    return wp.where(inverse > 1.0, 1.0, wp.clamp(2.0 * wp.abs(radius) * inverse - 0.5, 0.0, 1.0))
 
 
 @wp.func
 def merged(a: wp.vec4, b: wp.vec4, c: wp.vec4, d: wp.vec4):
     """One texel out of four: the side of the plane in focus that most lie on, and their mean colour and circle.
 
-    A sharp child is left out of a blurred texel, so its colour is not spread.
+    A sharp child is left out of a blurred texel, so its colour is not spread. Two against two lie before it: a bright
+    edge must not be lost.
     """
-    sides = wp.sign(a[3]) + wp.sign(b[3]) + wp.sign(c[3]) + wp.sign(d[3])
-    near = sides < 0.0 or (sides == 0.0 and a[3] < 0.0)
+    sides = side(a[3]) + side(b[3]) + side(c[3]) + side(d[3])
+    near = sides <= 0.0
     turn = wp.where(near, -1.0, 1.0)
     largest = wp.max(wp.max(a[3] * turn, b[3] * turn), wp.max(c[3] * turn, d[3] * turn))
-    if largest < 1.0:
+    if largest < 1.0 and wp.min(wp.min(a[3], b[3]), wp.min(c[3], d[3])) > -1.5:
         return (a + b + c + d) * 0.25
-    inverse = 1.0 / largest
+    inverse = 1.0 / wp.max(largest, 0.01)
     wa, wb = belongs(a[3], near, inverse), belongs(b[3], near, inverse)
     wc, wd = belongs(c[3], near, inverse), belongs(d[3], near, inverse)
     return (a * wa + b * wb + c * wc + d * wd) * (1.0 / (wa + wb + wc + wd))
@@ -182,30 +231,22 @@ def make_layers(half: bool):
     @wp.func
     def behind(taps: Taps, view: View, x: wp.float32, y: wp.float32, radius: wp.float32, texels: wp.int32):
         """Weighted sum of the colours of the taps within a circle, and their weight."""
-        level = level_of(radius, texels)
-        rows = rows_of(view, taps.tiles, level)
-        shape = circle_shape(view)
-        fx, fy = 1.0 / shape[0], 1.0 / shape[1]
-        # In texels, from their centres.
-        inverse = 1.0 / wp.float32(1 << level)
-        u, v, r = x * inverse - 0.5, y * inverse - 0.5, radius * inverse
-        spread = spread_of(inverse)
-        rim = wp.sqrt(wp.max(r * r - spread, LEAST_BEHIND)) + 0.5
-        tall = rim * shape[1]
+        disc = disc_around(view, taps.tiles, x, y, radius, texels, LEAST_BEHIND)
+        r = radius * disc.inverse
         sums = wp.vec4()
-        for j in range(wp.int32(wp.ceil(v - tall)), wp.int32(wp.floor(v + tall)) + 1):
-            dy = (wp.float32(j) - v) * fy
+        for j in range(disc.first, disc.last + 1):
+            dy = (wp.float32(j) - disc.v) * disc.step_y
             dy2 = dy * dy
-            wide = fast_root(wp.max(multiply_add(rim, rim, -dy2), 0.0)) * shape[0]
-            row = rows.first + wp.clamp(j, 0, rows.last_y) * rows.pitch
-            left = wp.ceil(u - wide)
-            dx = (left - u) * fx
-            for i in range(wp.int32(left), wp.int32(wp.floor(u + wide)) + 1):
-                value = load(taps, row + wp.clamp(i, 0, rows.last_x))
-                distance = fast_root(multiply_add(dx, dx, dy2))
-                dx = dx + fx
-                circle = wp.min(value[3] * inverse, r)
-                square = wp.max(multiply_add(circle, circle, -spread), LEAST_BEHIND)
+            wide = fast_root(wp.max(fma(disc.rim, disc.rim, -dy2), 0.0)) * disc.narrow
+            row = disc.rows.first + wp.clamp(j, 0, disc.rows.last_y) * disc.rows.pitch
+            left = wp.ceil(disc.u - wide)
+            dx = (left - disc.u) * disc.step_x
+            for i in range(wp.int32(left), wp.int32(wp.floor(disc.u + wide)) + 1):
+                value = load(taps, row + wp.clamp(i, 0, disc.rows.last_x))
+                distance = fast_root(fma(dx, dx, dy2))
+                dx = dx + disc.step_x
+                circle = wp.min(value[3] * disc.inverse, r)
+                square = wp.max(fma(circle, circle, -disc.spread), LEAST_BEHIND)
                 turned = fast_inverse_root(square)
                 share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(value[3] - SHARP_PX, 0.0, 1.0)
                 sums = add_weighted(sums, value, share * turned * turned)
@@ -222,15 +263,7 @@ def make_layers(half: bool):
         texels: wp.int32,
     ):
         """What lies before the plane in focus, and what lies farther away than a circle of that radius there."""
-        level = level_of(radius, texels)
-        rows = rows_of(view, taps.tiles, level)
-        shape = circle_shape(view)
-        fx, fy = 1.0 / shape[0], 1.0 / shape[1]
-        inverse = 1.0 / wp.float32(1 << level)
-        u, v, r = x * inverse - 0.5, y * inverse - 0.5, radius * inverse
-        spread = spread_of(inverse)
-        rim = wp.sqrt(wp.max(r * r - spread, LEAST_BEFORE)) + 0.5
-        tall = rim * shape[1]
+        disc = disc_around(view, taps.tiles, x, y, radius, texels, LEAST_BEFORE)
         # What lies farther away than the place itself, from a quarter of its circle on.
         contrast = wp.float32(0.0)
         if own > 1.0:
@@ -238,27 +271,27 @@ def make_layers(half: bool):
         level_with = own * contrast - 0.5
         sums = wp.vec4()
         hidden = wp.vec4()
-        for j in range(wp.int32(wp.ceil(v - tall)), wp.int32(wp.floor(v + tall)) + 1):
-            dy = (wp.float32(j) - v) * fy
+        for j in range(disc.first, disc.last + 1):
+            dy = (wp.float32(j) - disc.v) * disc.step_y
             dy2 = dy * dy
-            wide = fast_root(wp.max(multiply_add(rim, rim, -dy2), 0.0)) * shape[0]
-            row = rows.first + wp.clamp(j, 0, rows.last_y) * rows.pitch
-            left = wp.ceil(u - wide)
-            dx = (left - u) * fx
-            for i in range(wp.int32(left), wp.int32(wp.floor(u + wide)) + 1):
-                value = load(taps, row + wp.clamp(i, 0, rows.last_x))
-                distance = fast_root(multiply_add(dx, dx, dy2))
-                dx = dx + fx
+            wide = fast_root(wp.max(fma(disc.rim, disc.rim, -dy2), 0.0)) * disc.narrow
+            row = disc.rows.first + wp.clamp(j, 0, disc.rows.last_y) * disc.rows.pitch
+            left = wp.ceil(disc.u - wide)
+            dx = (left - disc.u) * disc.step_x
+            for i in range(wp.int32(left), wp.int32(wp.floor(disc.u + wide)) + 1):
+                value = load(taps, row + wp.clamp(i, 0, disc.rows.last_x))
+                distance = fast_root(fma(dx, dx, dy2))
+                dx = dx + disc.step_x
                 # It counts by its share of the light of its circle, which is spread over the circle's area.
-                circle = value[3] * inverse
-                square = wp.max(multiply_add(circle, circle, -spread), LEAST_BEFORE)
+                circle = value[3] * disc.inverse
+                square = wp.max(fma(circle, circle, -disc.spread), LEAST_BEFORE)
                 turned = fast_inverse_root(square)
                 share = wp.clamp(square * turned - distance + 0.5, 0.0, 1.0) * wp.clamp(-NEAR_PX - value[3], 0.0, 1.0)
                 sums = add_weighted(sums, value, share * turned * turned)
-                farther = wp.clamp(multiply_add(value[3], contrast, level_with), 0.0, 1.0)
+                farther = wp.clamp(fma(value[3], contrast, level_with), 0.0, 1.0)
                 hidden = add_weighted(hidden, value, farther)
         layers = Layers()
-        layers.before = sums * (INVERSE_PI * fx * fy)
+        layers.before = sums * (INVERSE_PI * disc.step_x * disc.step_y)
         layers.hidden = hidden
         return layers
 

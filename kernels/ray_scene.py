@@ -4,7 +4,7 @@ Both trees are Warp's. Instances share their mesh's tree, so memory grows with m
 what moves only has its box refitted; after large movements the same answers take longer. The boxes are in float32 world
 coordinates, widened by their rounding; triangles are tested in their mesh's own space, where a ray is relative to the
 camera first, so far-away worlds are stable. The order in which a tree is walked does not show, since any hit ends a
-ray. A transform that flattens its instance has no inverse: no ray hits such an instance. Block size 64.
+ray. A transform that flattens its instance has no inverse; its instance is given a thickness of FLAT. Block size 64.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from .structs import FLAG_MASKED, FLAG_TWO_SIDED, Geometry, Material
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
+#: Thickness of what a transform makes flat, as a share of its other sides: below the rounding that rays start beyond.
+FLAT = wp.constant(wp.float64(1.0e-7))
 
 
 @wp.struct
@@ -36,6 +38,22 @@ class RayScene:
     tree: wp.uint64  # of the instances' boxes
 
 
+@wp.func
+def thickened(m: wp.mat33d):
+    """A matrix of rank 2 with its flat direction made thin instead; others as they are.
+
+    The cofactors of such a matrix map just the direction that it loses to the normal of what it maps to.
+    """
+    if wp.determinant(m) != wp.float64(0.0):
+        return m
+    a, b, c = m[0], m[1], m[2]
+    cofactors = wp.matrix_from_rows(wp.cross(b, c), wp.cross(c, a), wp.cross(a, b))
+    size = wp.sqrt(wp.ddot(cofactors, cofactors))
+    if not (size > wp.float64(0.0)):
+        return m
+    return m + cofactors * (FLAT * wp.sqrt(wp.ddot(m, m)) / size)
+
+
 @wp.kernel
 def place_instances_kernel(
     # Scene
@@ -45,11 +63,11 @@ def place_instances_kernel(
     out_high: wp.array[wp.vec3],
     out_inverses: wp.array[wp.mat33],
 ):
-    """World box and inverse of every instance; one that is not finite or flat gets an empty box at the origin."""
+    """World box and inverse of every instance; one that is not finite, or a line, gets an empty box at the origin."""
     i = wp.tid()
     instance = geometry.instances[i]
     transform = geometry.transforms[i]
-    linear = widen(transform.linear)
+    linear = thickened(widen(transform.linear))
     half = to_double(instance.bounds_high - instance.bounds_low) * wp.float64(0.5)
     middle = transform.origin + linear * (to_double(instance.bounds_low) + half)
     low, high, inverse = wp.vec3(), wp.vec3(), wp.mat33()

@@ -1,7 +1,7 @@
 """Structs shared by all kernels, and the constants that host and device agree on.
 
 Sizes in bytes (asserted by tests/kernels/test_structs.py): View 208, Transform 64, Instance 80, Pair 92, Cluster 48,
-LargeTriangle 48, BloomLevel 24, Material 128 on the device plus its textures' handles.
+LargeTriangle 48, BloomLevel 28, Material 128 on the device plus its textures' handles.
 
 Only arrays whose content may change from frame to frame hold per-frame values; a captured graph freezes what is
 passed by value, so everything here that changes lives in device arrays of these structs.

@@ -30,9 +30,13 @@ GROUPS = {
     "blur": ("blur",),
     "debug_view": ("debug_view",),
     "scale": ("scale",),
+    "ray_scene": ("ray_scene", "ray_instances"),
 }
 #: Files of kernels that belong to an effect without bearing its name.
-MORE_KERNELS = {"depth_of_field": ("lens", "lens_layers"), "ambient_visibility": ("visibility_upsampling",)}
+MORE_KERNELS = {
+    "depth_of_field": ("lens", "lens_layers"),
+    "ambient_visibility": ("hemisphere", "visibility_upsampling"),
+}
 
 
 #: What has to be absent, too: what reads the motion, and what has rungs of many samples in its file.
@@ -56,7 +60,8 @@ def modules_of(effect: str) -> list[str]:
 def scene_without(effect: str):
     """A scene, outputs and settings that call for every effect that goes with the others, but one.
 
-    `debug_view` goes with none of them, and fxaa not with `sampling`, for which the picture without it calls.
+    `debug_view` goes with none of them, fxaa not with `sampling`, and shadow maps not with `ray_scene`: the picture
+    without `anti_aliasing` takes samples and traces its shadows.
     """
     import warp_deferred as wd
 
@@ -90,7 +95,9 @@ def scene_without(effect: str):
     )
     values = ["shadow.point_size=128", f"blur.sigma_px={int(has('blur'))}", "blur.rung=gaussian"]
     values += ["scale.rung=half"] * has("scale")
-    values += [f"anti_aliasing.rung={'fxaa' if has('anti_aliasing') else 'samples_4'}"]
+    values += ["anti_aliasing.rung=fxaa"]
+    if not has("anti_aliasing"):
+        values += ["anti_aliasing.rung=samples_4", "shadow.rung=ray_traced", "shadow.samples=4"]
     return scene, ("display",), wd.Settings().with_values(values)
 
 

@@ -69,7 +69,13 @@ def test_an_absent_effect_loads_launches_and_allocates_nothing_and_its_modules_m
         assert not set(one["passes"]) & set(absence.GROUPS[effect])
         shared = set().union(*(names for other, names in everything.items() if other != effect))
         assert not (everything.get(effect, set()) - shared) & set(one["buffers"])
-        others = set(absence.GROUPS) - {effect, "debug_view", "sampling", *absence.GOES_WITH.get(effect, ())}
+        others = set(absence.GROUPS) - {
+            effect,
+            "debug_view",
+            "sampling",
+            "ray_scene",
+            *absence.GOES_WITH.get(effect, ()),
+        }
         assert others <= set(one["passes"]), "the others do run"
     assert seen[0]["passes"] == seen[1]["passes"]
     shown = [np.load(folder / "display.npy") for folder in folders.values()]

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from .checks import input_error
 from .clustering import CLUSTER_SIZE, Clusters, cut_clusters
+from .device_arrays import as_float_array
 from .errors import CapacityError
 from .features import MODELS
 from .kernels import clusters as cluster_kernels
@@ -323,39 +323,3 @@ def _padded(rows: np.ndarray, dtype: type) -> np.ndarray:
     out = np.zeros((len(rows), 4), dtype)
     out[:, :3] = rows
     return out
-
-
-def as_float_array(name: str, value: object, device: wp.Device, *shapes: tuple[int, ...]) -> wp.array:
-    """See a Warp, torch or JAX array as a Warp array of plain float32 on the device, without a copy where it can be.
-
-    Args:
-        name: What the array is, for messages.
-        value: The array; vectors, matrices and transforms of Warp count as further axes.
-        device: Where it is needed.
-        *shapes: Shapes that will do.
-
-    Raises:
-        InputError: If it holds other numbers, has another shape, or cannot be seen without a copy through the host.
-    """
-    if not isinstance(value, wp.array) and not hasattr(value, "__dlpack__"):
-        raise input_error(name, "a Warp array, or one with __dlpack__", type(value).__name__, "wrap it with wp.array")
-    array = value if isinstance(value, wp.array) else wp.from_dlpack(value)
-    number = getattr(array.dtype, "_wp_scalar_type_", array.dtype)
-    if number is not wp.float32:
-        got = getattr(number, "__name__", str(number))
-        raise input_error(name, "float32 numbers", f"<{got} array>", "convert the array to float32")
-    lengths = tuple(getattr(array.dtype, "_shape_", ()))
-    shape = (*array.shape, *lengths)
-    if shape not in shapes:
-        raise input_error(name, "shape " + " or ".join(map(str, shapes)), f"<shape {shape}>")
-    if array.device != device:
-        array = array.to(device)
-    if not lengths:
-        return array
-    inner = [4 * math.prod(lengths[k + 1 :]) for k in range(len(lengths))]
-    result = wp.array(
-        ptr=array.ptr, dtype=wp.float32, shape=shape, strides=(*array.strides, *inner), device=device, copy=False
-    )
-    # A pointer keeps nothing alive: what `to` or DLPack made must outlast the launch that reads it.
-    result._ref = array
-    return result

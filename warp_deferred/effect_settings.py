@@ -218,8 +218,8 @@ class DepthOfFieldSettings(Record):
     rung: Literal["off", "plane_lerp", "gather", "lens_samples"] = "gather"
     """plane_lerp: mix with an equally blurred copy by distance from the plane in focus; gather: circles of confusion,
     what lies before the plane in focus apart from what lies behind it; lens_samples: so many views through points of
-    the lens (reference), which costs so many frames. `gather` costs 1.1 images of memory: 3 layers and 1.3 reduced
-    images of a quarter of the pixels."""
+    the lens (reference), which costs so many frames. `gather` costs 1.3 images of memory: three layers and
+    1.3 reduced images of a quarter of the pixels, and the circles."""
     when: Literal["called_for", "always"] = "called_for"
     """always: run although no camera has an aperture; changes no bit then. lens_samples takes no samples then."""
     max_radius_px: float = Field(32.0, ge=1.0, le=64.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from .device_scene import as_float_array
+from .device_arrays import as_float_array
 from .errors import CapacityError
 from .kernels import lights as light_kernels
 from .kernels import structs

@@ -13,7 +13,7 @@ from collections.abc import Callable
 
 import warp as wp
 
-from .arena import ALIGNMENT, lay_out
+from .arena import ALIGNMENT, lay_out, run_together
 from .device_scene import DeviceScene
 from .errors import CapacityError, Error
 from .light_store import LightStore
@@ -83,7 +83,8 @@ class Plan:
         looped = [k for k, stage in enumerate(self.passes) if stage.scope in LOOP]
         self.replays = self._replays()
         loop = range(looped[0], looped[-1] + 1) if self.replays > 1 else range(0)
-        self._places = lay_out(self.passes, request, loop)
+        together = run_together(self.passes, loop)
+        self._places = lay_out(self.passes, request, loop, together)
         self.memory = self._places.sizes
         self.bytes = self._places.total + sum(self.memory[name] for name in request.outputs)
         # Nothing is allocated before this line: what cannot be held has been refused.
@@ -92,7 +93,8 @@ class Plan:
             self.resources = Resources.make(scene, lights(), self.layout, program, request.shadow_slots)
             self._allocate()
             for k, stage in enumerate(self.passes):
-                self._build(stage, START if k < loop.start else END if k >= loop.stop > 0 else SAMPLE)
+                part = START if k < loop.start else END if k >= loop.stop > 0 else SAMPLE
+                self._build(stage, part, together[k])
         program.load(progress)
 
     def _replays(self) -> int:
@@ -107,7 +109,7 @@ class Plan:
         centre = inside & (after | self.request.outputs) or shutter_samples(self.request) > 1
         return sample_count(self.request) + bool(centre)
 
-    def _build(self, stage: Pass, part: int) -> None:
+    def _build(self, stage: Pass, part: int, beside: int) -> None:
         """Prepare a pass and add its launches to the program."""
         resources = self.resources
         resources.frame.sampling = part == SAMPLE
@@ -116,7 +118,7 @@ class Plan:
         if condition is not None and stage.image == "turn":
             target, source = resources.channels[stage.target], resources.channels[stage.source]
             otherwise = functools.partial(wp.copy, target, source)
-        resources.program.begin(stage.name, part, condition, otherwise)
+        resources.program.begin(stage.name, part, condition, otherwise, beside)
         stage.run(resources)
         conditions = [s.name for s in resources.program.sections if s.condition is not None]
         if len(conditions) > MAX_ACTIVE:

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from .device_scene import DeviceScene, as_float_array
+from .device_arrays import as_float_array
+from .device_scene import DeviceScene
 from .errors import CapacityError
 from .kernels import points as kernels
 from .normals import weld

@@ -72,12 +72,14 @@ class Section:
         part: START, SAMPLE or END.
         condition: Device array of one int32; while it is 0 `otherwise` runs in place of the steps.
         otherwise: Called while the section is skipped.
+        beside: How many of the sections behind it run at the same time on CUDA.
     """
 
     name: str
     part: int
     condition: wp.array | None = None
     otherwise: Callable[[], Any] | None = None
+    beside: int = 0
     steps: list[list[Callable[[], Any]]] = dataclasses.field(default_factory=list)
 
     @property
@@ -110,9 +112,10 @@ class Program:
         part: int = SAMPLE,
         condition: wp.array | None = None,
         otherwise: Callable[[], Any] | None = None,
+        beside: int = 0,
     ) -> None:
         """Start the section of a pass; parts come in order."""
-        self.sections.append(Section(name, part, condition, otherwise))
+        self.sections.append(Section(name, part, condition, otherwise, beside))
 
     def launch(
         self,
@@ -178,9 +181,11 @@ class Program:
         """
         here = self.sections[-1]
         before = next((s for s in reversed(self.sections) if s.steps), None)
-        # Not across parts, which run a different number of times, nor into or out of a section that may be skipped.
+        # Not across parts, which run a different number of times, nor into or out of a section that may be skipped, nor
+        # into one that may run on another stream.
         if before is not None and before is not here:
             alone = before.part != here.part or before.condition is not None or here.condition is not None
+            alone = alone or any(s.beside for s in self.sections)
             before = None if alone else before
         if beside and before is not None:
             before.steps[-1].append(function)
@@ -195,6 +200,20 @@ class Program:
             block_dim = block_dim if self.device.is_cuda else 1
             dims = [*dims, block_dim]
         return _Command(kernel, dims, inputs, outputs, self.device, block_dim)
+
+    def _run_sections(self, sections: Sequence[Section]) -> None:
+        """Run sections in order, on CUDA those that may on a stream beside the one before them."""
+        done = 0
+        for k, section in enumerate(sections):
+            if k < done:
+                continue
+            others = list(sections[k + 1 : k + 1 + section.beside]) if self.device.is_cuda else []
+            done = k + 1 + len(others)
+            if not others or any(s.condition is not None for s in (section, *others)):
+                for s in (section, *others):
+                    self.run_section(s)
+            else:
+                self._fork([lambda s=section: self.run_section(s), lambda s=others: self._run_sections(s)])
 
     def run_section(self, section: Section) -> None:
         """Run one pass's steps directly, or skip them."""
@@ -278,8 +297,7 @@ class Program:
         graphs = []
         for sections, count in self.parts:
             with wp.ScopedCapture(device=self.device, force_module_load=False) as capture:
-                for section in sections:
-                    self.run_section(section)
+                self._run_sections(sections)
             graphs.append((capture.graph, count))
         self._graphs = graphs
 
@@ -304,8 +322,7 @@ class Program:
             wanted = sections[: max(0, len(last))]
             last = last[len(wanted) :]
             for _ in range(count if len(wanted) == len(sections) else 1):
-                for section in wanted:
-                    self.run_section(section)
+                self._run_sections(wanted)
 
     def measure(self, repeats: int = 20) -> dict[str, list[float]]:
         """Time each pass by itself: section name -> milliseconds of each repeat (device time on CUDA).

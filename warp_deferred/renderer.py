@@ -10,12 +10,14 @@ import struct
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from .camera import Camera
 from .channels import OUTPUTS
 from .checks import check_choice, check_count, input_error
-from .device_scene import DeviceScene, as_float_array
+from .device_arrays import as_float_array
+from .device_scene import DeviceScene
 from .effects import called_for
 from .errors import DeviceError
 from .explain import Explanation, MemoryReport
@@ -191,6 +193,8 @@ class Renderer:
         self._watched = (scene.revision, cameras)
         if scene.transforms is not None or poses is not None:
             self._moving = "transforms or poses come from an array"
+        elif any(not isinstance(binding.array, np.ndarray) for binding in scene.point_bindings):
+            self._moving = "points come from an array"
         elif scene.animate is not None:
             self._moving = "the scene can be animated"
         elif known is not None and (known[0] != scene.revision or known[1] != cameras):

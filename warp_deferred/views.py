@@ -62,6 +62,7 @@ class ViewLayout:
         coarse_tiles: (c, 4) int32: view, x, y, 0 of each coarse light tile.
         bin_tiles: (n, 4) int32: view, x, y, 0 of each raster bin.
         shown_bins: Bins up to the last one of a view that keeps ids: those of shadow maps come after them.
+        depth_bins: Bins before the first one of a view that keeps depth only.
     """
 
     def __init__(self, sizes: tuple[ViewSize, ...], tile_size: int) -> None:
@@ -79,7 +80,7 @@ class ViewLayout:
         self.pixels, self.depth_pixels = pixels, depth_pixels
         self.shown_pixels = sum(s.shown[0] * s.shown[1] for s in sizes if not s.depth_only)
         self.fields: list[tuple[int, ...]] = []
-        self.shown_bins = 0
+        self.shown_bins = self.depth_bins = 0
         offsets = {False: 0, True: 0}
         tables: dict[str, list[np.ndarray]] = {"blocks": [], "tiles": [], "coarse": [], "bins": []}
         counts = {"tiles": 0, "coarse": 0, "bins": 0}
@@ -100,6 +101,8 @@ class ViewLayout:
                 )
             )
             tables["bins"].append(block_grid(v, s, 16))
+            if not light and offsets[True] == 0:
+                self.depth_bins = counts["bins"]
             if light:
                 tables["blocks"].append(block_grid(v, s, 8))
                 tiles = block_grid(v, s, tile_size)

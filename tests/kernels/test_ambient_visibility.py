@@ -5,9 +5,9 @@ import pytest
 import warp as wp
 from warp_deferred.kernels.ambient_visibility import arc_part, fast_rsqrt, pack_visibility, rough_rsqrt, slice_pattern
 from warp_deferred.kernels.ambient_visibility_ssao import FRACTION_LOW, hemisphere_points
-from warp_deferred.kernels.ambient_visibility_traced import cosine_directions
 from warp_deferred.kernels.bilateral import word_depth, word_visibility
 from warp_deferred.kernels.depth_pyramid import BIN_WORDS, LEVELS, pyramid_index
+from warp_deferred.kernels.hemisphere import cosine_directions
 from warp_deferred.kernels.structs import View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

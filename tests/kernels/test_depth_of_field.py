@@ -125,6 +125,11 @@ def test_reduced_texels_hold_one_side_and_no_sharp_colour(device):
         ([(*red, 8.0), (*blue, 8.0)] * 2, (2.0, 0.0, 1.0, 8.0)),
         ([(*red, 0.0), (*blue, 0.5)] * 2, (2.0, 0.0, 1.0, 0.25)),
         ([(*red, 0.0)] * 4, (*red, 0.0)),
+        # What is sharp votes: one child before it does not make the texel its own, nor shows in it; two or three do.
+        ([(*red, -8.0)] + [(*blue, 0.25)] * 3, (*blue, 0.25)),
+        ([(*red, -8.0)] * 3 + [(*blue, 0.25)], (*red, -8.0)),
+        ([(*red, -8.0), (*blue, 0.0)] * 2, (*red, -8.0)),
+        ([(*blue, 6.0), (*red, -8.0)] * 2, (*red, -8.0)),
     ]
     children = wp.array(np.float32([c for c, _ in cases]), dtype=wp.vec4, device=device)
     out = wp.zeros(len(cases), dtype=wp.vec4, device=device)

@@ -146,7 +146,7 @@ def test_clusters_are_those_of_the_meshes(device):
     data = buffers(device, "instance_id", "triangle_id", scene=scene)
     renderer = renderer_of("clusters", device, scene, share_memory=False)
     picture = renderer.render().numpy("display")[0][..., :3].astype(int)
-    table = renderer.plan.passes[-1].shown.clusters.numpy()
+    table = renderer.plan.passes[-1].shown[0].clusters.numpy()
     geometry = renderer._device_scene.geometry
     named, clusters = geometry.cluster_triangles.numpy(), geometry.clusters.numpy()
     for k, mesh in enumerate(renderer._device_scene.meshes):
@@ -264,9 +264,21 @@ def test_what_is_missing_is_named(device):
         shown("tiles", device, scene=gallery(lights=False))
     with pytest.raises(wd.InputError, match=r"view.*'normal'"):
         wd.Settings().with_values(["display.view=normals"])
-    with pytest.raises(wd.CapacityError, match="mask_budget_bytes"):
-        tight = settings("tiles", "light_culling.mask_budget_bytes=1")
-        wd.Renderer(gallery(), device=device, settings=tight, width=64, height=300).render()
+
+
+@pytest.mark.parametrize("rung", ["tiles", "tiles_depth", "brute_force"])
+@pytest.mark.parametrize("samples", ["off", "samples_4"])
+def test_tiles_are_shown_in_bands_as_in_one(rung, samples, device):
+    frames = []
+    for budget in (1, 2**28):
+        values = [f"light_culling.mask_budget_bytes={budget}", f"light_culling.rung={rung}"]
+        several = settings("tiles", f"anti_aliasing.rung={samples}", *values)
+        renderer = wd.Renderer(gallery(), device=device, settings=several, width=64, height=300, outputs=("display",))
+        renderer.render()
+        frames.append(renderer.render().numpy("display")[0])
+        shade = next(stage for stage in renderer.plan.passes if stage.name == "light_culling")
+        assert (len(shade.bands) > 1) == (budget == 1)
+    assert np.array_equal(*frames) and frames[0][..., :3].std() > 10.0
 
 
 def test_shadow_maps_lie_side_by_side(device):

@@ -137,3 +137,27 @@ def test_bound_points_move_in_both(device):
     expected = images(renderer_of(still, device).render())
     for name in NAMES:
         assert np.mean(np.abs(second[name] - expected[name]) > 1e-4) < 0.01, name
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_flat_instances_stop_rays(axis, device):
+    """A box without height stops what a plate in its place stops."""
+    pictures = []
+    for flat in (False, True):
+        scene = plate_scene("spot")
+        scene.environment = wd.Environment(ambient=(0.3, 0.3, 0.3))
+        if flat:
+            place = scene.instances[1].transform
+            scale = np.ones(3)
+            scale[axis] = 0.0
+            # The box's flat axis to the plate's own, z.
+            turn = np.roll(np.eye(3), 2 - axis, axis=0)
+            matrix = np.eye(4)
+            matrix[:3, :3], matrix[:3, 3] = place[:3, :3] @ turn @ np.diag(scale), place[:3, 3]
+            scene.instances[1].transform = tilt(move=(0.0, -90.0, 0.0))
+            scene.add(box(1.0), transform=matrix, material=CLAY)
+        pictures.append(images(renderer_of(scene, device, "ray_traced", "ambient_visibility.radius_m=4").render()))
+    plate, boxed = pictures
+    assert plate["ambient_visibility"].min() < 0.9
+    for name in NAMES:
+        assert np.mean(np.abs(plate[name] - boxed[name]) > 0.02) < 0.01, name

@@ -7,7 +7,6 @@ import warp as wp
 
 from ..kernels import ambient_visibility as gtao
 from ..kernels import ambient_visibility_ssao as ssao
-from ..kernels import ambient_visibility_traced as traced
 from ..kernels import bilateral, depth_pyramid, visibility_upsampling
 from ..program import FIRST
 from ..resources import Resources
@@ -24,6 +23,8 @@ class AmbientVisibilityPass(Pass):
     """Share of ambient light that reaches each surface."""
 
     name = "ambient_visibility"
+    # Culling lights waits more than it computes; gathering fills the card.
+    beside = ("lights", "light_culling")
     doc = "find how much ambient light each surface sees"
 
     def rung(self) -> str:
@@ -61,9 +62,12 @@ class AmbientVisibilityPass(Pass):
         self.radius = min(radius, LARGEST_RADIUS)
         self.gbuffer = make_gbuffer(resources)
         if self.rung() == "ray_traced":
+            from ..kernels import ambient_visibility_traced as traced
+            from ..kernels.hemisphere import cosine_directions
+
             self.rays = resources.scene.rays().struct()
             self.gather = traced.make_ambient_visibility_traced_kernel(codec)
-            table = traced.cosine_directions(settings.rays)
+            table = cosine_directions(settings.rays)
         elif self.rung() == "ssao":
             self.gather = ssao.make_ambient_visibility_ssao_kernel(codec)
             table = ssao.hemisphere_points(settings.samples)
@@ -110,6 +114,8 @@ class AmbientVisibilityPass(Pass):
         return [self.radius, gtao.falloff_of(self.radius)]
 
     def _trace(self, resources: Resources) -> None:
+        from ..kernels.ambient_visibility_traced import BLOCK_DIM
+
         settings = self.request.settings.ambient_visibility
         inputs = [
             resources.frame.views, resources.blocks, self.rays, self.gbuffer, self.table, self.radius, settings.bias,
@@ -117,7 +123,7 @@ class AmbientVisibilityPass(Pass):
         ]  # fmt: skip
         resources.program.launch(
             self.gather, len(self.layout.blocks) * 64, inputs, [resources.channels["ambient_visibility"]],
-            block_dim=traced.BLOCK_DIM, band=64,
+            block_dim=BLOCK_DIM, band=64,
         )  # fmt: skip
 
     def bytes_moved(self) -> int:

@@ -136,6 +136,9 @@ class Pass(abc.ABC):
     scope: ClassVar[Literal["frame_start", "sample", "accumulate", "average", "frame_end"]] = "sample"
     #: Name of the pass it comes after; read of a user's own passes only.
     after: str = "shade"
+    #: Names of passes that may run at the same time on CUDA where they come right behind it: they and it read nothing
+    #: that the other writes, which plans check.
+    beside: ClassVar[tuple[str, ...]] = ()
     #: What the device array of `active` says, in words: "some pixel exceeds the threshold".
     active_if: ClassVar[str] = ""
 

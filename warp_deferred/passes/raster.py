@@ -179,10 +179,11 @@ class RasterPass(Pass):
         bin_step(0)
         program.call(lambda: wp.utils.array_scan(counts, offsets, inclusive=False))
         bin_step(1)
-        # Views that keep ids come first, then shadow maps; tiles of the two lie apart.
-        shown, tiles = self.layout.shown_bins, len(self.layout.bin_tiles)
+        # Tiles of views that keep ids and of shadow maps lie apart, but in plans that mix their views.
+        ranges = ((0, self.layout.shown_bins), (self.layout.depth_bins, len(self.layout.bin_tiles)))
         launches = []
-        for kernel, first, count in zip(self.draw_bins, (0, shown), (shown, tiles - shown), strict=False):
+        for kernel, (first, last) in zip(self.draw_bins, ranges, strict=False):
+            count = last - first
             inputs = [views, resources.bin_tiles, self.bins, first]
             launches.append((kernel, count * draw_kernels.BLOCK_DIM, inputs, [target]))
         # On the CPU they share the memory that stands in for a block's.
