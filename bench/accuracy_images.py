@@ -45,6 +45,6 @@ def write_strip(folder: Path, ladder: str, pictures: dict[str, np.ndarray], refe
     while gain < MOST_GAIN and gain * 2 * np.percentile(apart, 99.9) <= 255:
         gain *= 2
     height, width = apart.shape
-    zoom = 3 if width >= 960 else 2
+    zoom = 3
     case = EffectCase(ladder, "", reference, centre=worst_place(apart), zoom=zoom, gain=gain, size=(width, height))
     return write_cells(folder / strip_name(ladder), case, pictures)

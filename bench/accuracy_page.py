@@ -41,9 +41,9 @@ effect that is not on it is off, and the rest is at its default. To measure anew
 python -m bench accuracy --device cuda:0 --json bench/results/accuracy.json --images docs/images
 python -m bench report
 ```"""
-OVERVIEW = """Each line is a stage on the scene that shows it best, from its cheapest rung to its reference; down is
-nearer to the truth, right is dearer. Stages whose rungs all give the same bits (light tiles, light culling) are not
-drawn: they are free of error at any price."""
+OVERVIEW = """Each line is a stage on the scene that shows it best, from its cheapest rung to its reference: down is
+nearer to the truth, right is dearer, and rungs off the line are beaten by others. Stages whose rungs all give the same
+bits (light tiles, light culling) are not drawn: they are free of error at any price."""
 
 
 def chosen(records: dict[str, Record]) -> str:

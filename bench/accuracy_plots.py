@@ -57,8 +57,10 @@ def ladder_figure(record: Record, ladder: str, colors: tuple[str, ...], pale: st
     least = _least(_shown(rows))
     for axes, part in zip(np.atleast_1d(figure.subplots(1, len(parts))), parts, strict=True):
         floor = _floor([_noise(row, part) for row in rows])
+        labels: list[tuple[float, float, str, str]] = []
         for k, scene in enumerate(scenes_of(record, ladder)):
-            _scene(axes, rows_of(record, ladder, scene), part, least, floor, colors[k % len(colors)], pale, k == 0)
+            names = _scene(axes, rows_of(record, ladder, scene), part, least, floor, colors[k % len(colors)])
+            labels = names if k == 0 else labels
         axes.axhline(floor, color=pale, linewidth=0.8)
         axes.text(0.99, floor, "nothing", transform=axes.get_yaxis_transform(), fontsize=7, color=pale, ha="right",
                   va="bottom")  # fmt: skip
@@ -67,6 +69,7 @@ def ladder_figure(record: Record, ladder: str, colors: tuple[str, ...], pale: st
         axes.margins(x=0.12)
         axes.set_ylim(bottom=floor / 1.6)
         _plain(axes.xaxis)
+        _put_names(axes, labels, (5, 4), {"fontsize": 7.5})
     handles = [
         matplotlib.lines.Line2D([], [], color=colors[k % len(colors)], marker="o", markersize=4, label=scene)
         for k, scene in enumerate(scenes_of(record, ladder))
@@ -77,9 +80,9 @@ def ladder_figure(record: Record, ladder: str, colors: tuple[str, ...], pale: st
 
 
 def _scene(
-    axes: Any, rows: list[Row], part: str, least: float, floor: float, color: str, pale: str, named: bool
-) -> None:
-    """Rungs of one scene, those of the front filled and joined; names of the first scene's."""
+    axes: Any, rows: list[Row], part: str, least: float, floor: float, color: str
+) -> list[tuple[float, float, str, str]]:
+    """Rungs of one scene, those of the front filled and joined; places, names and colours of labels."""
     shown, front = _shown(rows), front_of(_shown(rows), f"{part}.rmse")
     for row in rows:
         if row not in shown and row[f"{part}.rmse"] > 0.0:
@@ -90,8 +93,7 @@ def _scene(
     for row in shown:
         filled = row["rung"] in front
         axes.plot(*points[row["rung"]], "o", color=color, markerfacecolor=color if filled else "white", markersize=5)
-        if named:
-            axes.annotate(row["rung"], points[row["rung"]], xytext=(5, 4), textcoords="offset points", fontsize=7.5)
+    return [(*points[row["rung"]], row["rung"], "black") for row in shown]
 
 
 def _exact_figure(record: Record, ladder: str, colors: tuple[str, ...], title: str) -> Figure:
@@ -115,7 +117,7 @@ def _exact_figure(record: Record, ladder: str, colors: tuple[str, ...], title: s
 
 
 def overview_figure(record: Record, colors: tuple[str, ...], pale: str, title: str) -> Figure:
-    """Every ladder as a line on the scene that shows it best: time against the error of the picture."""
+    """Every ladder on the scene that shows it best: time against the error of the picture, the front as a line."""
     figure = Figure(figsize=(8.6, 5.4))
     axes = figure.subplots()
     names = [name for name in ladder_names(record) if not LADDERS[name].exact and not LADDERS[name].twin]
@@ -127,17 +129,14 @@ def overview_figure(record: Record, colors: tuple[str, ...], pale: str, title: s
     for k, (name, rows) in enumerate(lines.items()):
         color, style = colors[k % len(colors)], ("-", "--")[k // len(colors) % 2]
         points = [(_cost(row, least), max(_noise(row, "error"), floor)) for row in rows]
-        axes.plot(*zip(*points, strict=True), style, color=color, linewidth=1.3, alpha=0.85)
+        front = front_of(rows, "error.rmse")
+        line = sorted(point for row, point in zip(rows, points, strict=True) if row["rung"] in front)
+        axes.plot(*zip(*line, strict=True), style, color=color, linewidth=1.3, alpha=0.85)
         for row, point in zip(rows, points, strict=True):
             chosen = row["rung"] == default_rung(LADDERS[name])
             axes.plot(*point, "o", color=color, markerfacecolor=color if chosen else "white", markersize=7 if chosen
                       else 5)  # fmt: skip
         labels.append((*max(points, key=lambda point: point[1]), name.replace("_", " "), color))
-    # A label that another one would cover stands higher.
-    for k, (x, y, text, color) in enumerate(sorted(labels)):
-        near = sum(abs(np.log10(x / a)) < 0.35 and abs(np.log10(y / b)) < 0.15 for a, b, *_ in sorted(labels)[:k])
-        axes.annotate(text, (x, y), xytext=(0, 7 + 11 * near), textcoords="offset points", fontsize=8.5, color=color,
-                      ha="center", fontweight="bold")  # fmt: skip
     axes.axhline(floor, color=pale, linewidth=0.8)
     axes.text(0.01, floor * 1.05, "no error", transform=axes.get_yaxis_transform(), fontsize=8, color=pale,
               va="bottom")  # fmt: skip
@@ -145,12 +144,30 @@ def overview_figure(record: Record, colors: tuple[str, ...], pale: str, title: s
              ylabel="RMSE of the picture: down is nearer to the reference")  # fmt: skip
     axes.set_ylim(bottom=floor / 1.5)
     axes.margins(x=0.08, y=0.1)
+    axes.set_ylim(top=3.0 * max(row["error.rmse"] for row in everything))
     _plain(axes.xaxis)
-    for place, words, side in (((0.01, 0.98), "cheap and far off", "left"), ((0.99, 0.03), "dear and true", "right")):
+    for place, words, side in (((0.01, 0.98), "cheap and far off", "left"), ((0.99, 0.06), "dear and true", "right")):
         height = "top" if side == "left" else "bottom"
         axes.text(*place, words, transform=axes.transAxes, color=pale, ha=side, va=height, fontstyle="italic")
+    _put_names(axes, labels, (0, 7), {"fontsize": 8.5, "ha": "center", "fontweight": "bold"})
     axes.set_title(f"What accuracy costs, filled: the default rung. {title}", fontsize=10)
     return figure
+
+
+def _put_names(
+    axes: Any, labels: list[tuple[float, float, str, str]], offset: tuple[int, int], style: dict[str, Any]
+) -> None:
+    """Write names beside points (x, y, name, colour); one that would lie on another stands higher. Limits are set."""
+    places = axes.transAxes.inverted().transform(axes.transData.transform([label[:2] for label in labels]))
+    put: list[np.ndarray] = []
+    for k in sorted(range(len(labels)), key=lambda k: places[k, 1]):
+        place, height = places[k].copy(), 0
+        while any(abs(place[0] - other[0]) < 0.14 and abs(place[1] - other[1]) < 0.035 for other in put):
+            place[1], height = place[1] + 0.02, height + 6
+        put.append(place)
+        x, y, text, color = labels[k]
+        axes.annotate(text, (x, y), xytext=(offset[0], offset[1] + height), textcoords="offset points", color=color,
+                      **style)  # fmt: skip
 
 
 def _plain(axis: Any) -> None:

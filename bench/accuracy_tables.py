@@ -29,7 +29,8 @@ LEGEND = (
     "of the frame. Error: the stage's own, root of the mean square, against the reference rung; over: the share of "
     "pixels (or components) that are off by more than the threshold stated. RMSE, max: of `display` in [0, 1] over the "
     "picture; FLIP: of its middle, {window} pixels at most. ± stands for the reference's own standard error, where it "
-    "samples. Medians; a frame that takes more than 20 ms is timed three times."
+    "samples. Medians; a frame that takes more than 20 ms is timed three times, one of more "
+    "than 200 ms once."
 )
 
 
