@@ -187,6 +187,17 @@ def test_normals_stay_within_the_angles_of_their_codecs(result):
     assert row_of(result, "normals", "oct16")["stage.rmse"] > 10.0 * row_of(result, "normals", "oct24")["stage.rmse"]
 
 
+@pytest.mark.parametrize("only", ["normals.oct16", "light_culling.tiles", "bloom.mip_chain", "depth"])
+def test_ladders_can_be_climbed_on_each_device(only, device):
+    outcome = accuracy.run(wp.get_device(device), quick=True, settings=Settings(), note=str, only=only)
+    assert outcome["skipped"] == []
+    rows = {row["rung"]: row for row in outcome["rows"]}
+    row = rows[only.partition(".")[2] or "float32_keys"]
+    assert (row["stage.rmse"] > 0.0) != LADDERS[row["ladder"]].exact and row["stage.ms"] != 0.0
+    if row["ladder"] == "normals":
+        assert row["stage.max"] <= LARGEST_ERROR["oct16"]
+
+
 def test_references_that_sample_say_their_noise(result):
     for name in LADDERS:
         row = row_of(result, name, LADDERS[name].reference) if not LADDERS[name].twin else {}
