@@ -93,7 +93,7 @@ def _ladder(record: Record, name: str, images: Path) -> list[str]:
     measure = MEASURES[ladder.measure]
     held = f", {', '.join(f'`{s}`' for s in ladder.fixed)} held" if ladder.fixed else ""
     parts = [f"## {ladder.title}"]
-    parts.append(f"Stage: {_stage(name)}. Error in {measure.unit}: {_lowered(measure.text)}{held}")
+    parts.append(f"Stage: {_stage(name)}. Error in {measure.unit}: {_lowered(measure.text)}{held}.")
     parts.append(f"- Exact: {words.exact}\n- Bounded: {words.bounded}\n- Only measured: {words.measured}")
     parts.append(f"![{ladder.title.lower()}: time against error]({images.name}/{plot_name(name)})")
     parts.append(ladder_table(record, name))
