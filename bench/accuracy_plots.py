@@ -62,8 +62,7 @@ def ladder_figure(record: Record, ladder: str, colors: tuple[str, ...], pale: st
             names = _scene(axes, rows_of(record, ladder, scene), part, least, floor, colors[k % len(colors)])
             labels = names if k == 0 else labels
         axes.axhline(floor, color=pale, linewidth=0.8)
-        axes.text(0.99, floor, "nothing", transform=axes.get_yaxis_transform(), fontsize=7, color=pale, ha="right",
-                  va="bottom")  # fmt: skip
+        axes.text(0.01, floor, "nothing", transform=axes.get_yaxis_transform(), fontsize=7, color=pale, va="bottom")
         axes.set(xscale="log", yscale="log", xlabel="stage [ms]")
         axes.set_title(ERRORS[part].format(unit=MEASURES[known.measure].unit), fontsize=9)
         axes.margins(x=0.12)

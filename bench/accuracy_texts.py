@@ -95,8 +95,9 @@ WORDS: dict[str, Words] = {
         "A plane alone never shadows itself at any angle; a light that casts nothing changes no bit.",
         "As stated in the settings, quoted below. The edge of a shadow is off by at most k t sin a for texels of size "
         "t and an angle a between the normal and the map's axis (`kernels/shadow_lookup.py` derives it).",
-        "The mean over a picture: it depends on how much of it is penumbra. `ray_traced` samples the light's disc; its "
-        "own standard error stands behind ± in the table.",
+        "The mean over a picture: it depends on how much of it is penumbra. `pcf` widens every edge by texels and may "
+        "be farther from the truth than `hard` where texels are larger than penumbrae. `ray_traced` samples the "
+        "light's disc; its own standard error stands behind ± in the table.",
     ),
     "ambient_visibility": Words(
         "Any plane has visibility exactly 1 at the gtao rungs; the background too.",
@@ -124,10 +125,11 @@ WORDS: dict[str, Words] = {
     ),
     "depth_of_field": Words(
         "Without an aperture nothing changes to the bit.",
-        "As stated in the settings, quoted below, for circles of at most 16 pixels radius: it was found on the scene "
-        "`focus`, and the table shows where others exceed it. Pictures here are taken without anti-aliasing, so that "
-        "every edge out of focus is also a jagged one against a smooth one.",
-        "What one view through the middle of the lens does not see has to be guessed.",
+        "As stated in the settings, quoted below, for circles of at most 16 pixels radius. It does not hold for every "
+        "picture: small ones taken without anti-aliasing, as those of a CPU here, may exceed it, since `lens_samples` "
+        "smooths edges out of focus that one view leaves jagged. The table is what was measured.",
+        "What one view through the middle of the lens does not see has to be guessed. The reference takes 64 points of "
+        "the lens, and small bright things show them: mind its own error behind ±.",
     ),
     "motion_blur": Words(
         "Where nothing moves nothing changes to the bit.",
