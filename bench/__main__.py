@@ -60,7 +60,7 @@ def _measure(
 
     # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
     wp.config.log_level = wp.LOG_WARNING
-    changes = [*(SPINE if name not in ("effects", "effect_images") else ()), *(sets or ())]
+    changes = [*(SPINE if name not in ("effects", "effect_images", "accuracy") else ()), *(sets or ())]
     settings = Settings().with_values(changes)
     try:
         chosen = wp.get_device(device)
@@ -173,6 +173,25 @@ def effects(
     """What each rung of each effect costs and how far it is from its reference; frames with several effects."""
     _check_case(only)
     _bench("effects", device, json, plot, quick, set_, only=only, keeps=True)
+
+
+@app.command()
+def accuracy(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Annotated[
+        str, typer.Option("--only", metavar="LADDER", help="Climb this ladder alone, such as shadow, or shadow.pcf.")
+    ] = "",
+    images: Annotated[str, typer.Option("--images", metavar="DIR", help="Write strips of the errors here.")] = "",
+) -> None:
+    """What each rung of each ladder is off by, alone and in the picture, and what it costs."""
+    from .ladders import narrowed
+
+    narrowed(only)  # before minutes of measuring, not after
+    _bench("accuracy", device, json, plot, quick, set_, only=only, images=images, keeps=True)
 
 
 def _check_case(only: str) -> None:

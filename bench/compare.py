@@ -35,6 +35,8 @@ QUICK_REPEATS = 3
 #: Ends of metrics that are made of others, or are measured once.
 DERIVED = ("floor_ms", "floor.ms", "times_floor", "sum_ms", "difference_ms", "of_frame", "added_bytes")
 ONCE = ("compile.s", "compile.replaced_s")
+#: Times that are, or may be, differences of longer ones: what runs differ by is a share of the whole.
+WHOLE = {"stage.ms": "frame.ms", "raster.ms": "total.ms"}
 #: Share and difference by which errors and means may differ: they are rounded to four digits, or to 1e-6.
 TOLERANCE, ROUNDING = 1e-3, 2e-6
 TIMES = (".ms", ".us")
@@ -193,10 +195,11 @@ def _row_changes(
         if not isinstance(after, (int, float)):
             raise LoadError(f"{name}: {metric}: expected a number, got {after!r}; run the bench again")
         if _is_time(metric):
-            drift = DRIFT["cpu"] if metric.endswith(".us") else _drift(records[0])
-            clock = 0.0 if metric.endswith(".us") or _on_cpu(records[0]) else CLOCK_MS
+            on_host = metric.endswith(".us") or _on_cpu(records[0])
+            whole = abs(old.get(WHOLE.get(metric, metric), before))
+            between = DRIFT["cpu"] * whole if on_host else DRIFT["cuda"] * whole + CLOCK_MS
             samples = [_sample(row, metric, record) for row, record in zip(rows, records, strict=True)]
-            noise, words = factor * limit(*samples, count, drift, clock), ("slower", "faster")
+            noise, words = factor * limit(*samples, count, between), ("slower", "faster")
         else:
             exact = isinstance(before, int) and isinstance(after, int)
             noise, words = 0.0 if exact else max(TOLERANCE * abs(before), ROUNDING), ("more", "less")

@@ -22,7 +22,7 @@ from .effect_cases import EFFECT_CASES, EffectCase, without_case
 from .effects import open_case, picture, reason
 from .probe import plan_of
 
-__all__ = ["cut", "difference", "labelled", "lay_side_by_side", "run", "strip_path", "strip_rungs"]
+__all__ = ["cut", "difference", "labelled", "lay_side_by_side", "run", "strip_path", "strip_rungs", "write_cells"]
 
 #: Most bytes of a strip; cuts shrink until it fits.
 MOST_BYTES = 170_000
@@ -70,7 +70,7 @@ def run(device: wp.Device, out: Path, *, quick: bool, settings: Settings, note: 
         case = case.quick() if quick else case
         pictures = _pictures(case, size, case.rungs(), device, settings, note)
         if len(pictures) > 1:
-            paths.append(_write(strip_path(out, name), case, pictures))
+            paths.append(write_cells(strip_path(out, name), case, pictures))
         if name in SHEET and not only:
             cells += _sheet_cell(case, device, 1 if quick else 2, settings, note)
     if cells:
@@ -107,7 +107,7 @@ def _sheet_cell(case: EffectCase, device: wp.Device, factor: int, settings: Sett
     return [_halves(case.name, *cuts)] if len(cuts) == len(rungs) else []
 
 
-def _write(path: Path, case: EffectCase, pictures: dict[str, np.ndarray]) -> Path:
+def write_cells(path: Path, case: EffectCase, pictures: dict[str, np.ndarray]) -> Path:
     """Write a strip of no more than `MOST_BYTES`, and the names of its rungs beside it."""
     width, height = CUT
     while True:

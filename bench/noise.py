@@ -71,17 +71,15 @@ def student(chance: float, freedom: float) -> float:
     return math.sqrt(freedom) * math.tan(0.5 * math.pi - np.interp(chance, tail / tail[-1], angle))
 
 
-def limit(old: Sample, new: Sample, count: int, drift: float, clock: float) -> float:
+def limit(old: Sample, new: Sample, count: int, between: float) -> float:
     """Largest distance of two medians that is called noise, in their unit.
 
     Args:
         old: A time.
         new: The same time in another run.
         count: Times that are compared with one another, >= 1.
-        drift: Share of the old time that is noise between runs.
-        clock: What the clock cannot tell.
+        between: What two runs may differ by whatever their spreads, in the unit of the medians.
     """
-    between = drift * abs(old.median) + clock
     a, b = old.error**2, new.error**2
     if a + b <= 0.0:
         return between

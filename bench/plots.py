@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ except ImportError as error:  # told here, where a plot was asked for
     raise Error(
         "matplotlib: expected it for plots, got no such module; install it with: pip install -e '.[dev]'"
     ) from error
+
+from . import accuracy_plots  # it imports matplotlib, too
 
 __all__ = ["check_target", "draw"]
 
@@ -51,15 +54,21 @@ def check_target(path: str | os.PathLike[str]) -> Path:
     return target
 
 
-def draw(record: Record, path: str | os.PathLike[str]) -> Path:
+def draw(record: Record, path: str | os.PathLike[str], part: str = "") -> Path:
     """Draw a result's plot as PNG; the same result gives the same bytes under the same matplotlib.
+
+    Args:
+        record: The result.
+        path: Where to.
+        part: A ladder of a result of the bench `accuracy`; the whole result if left out.
 
     Raises:
         LoadError: If the name does not end in .png or the file cannot be written.
     """
     target = check_target(path)
     with matplotlib.rc_context(STYLE):
-        figure = _DRAW[record["bench"]](record)
+        figure = accuracy_plots.ladder_figure(record, part, COLORS, PALE, _device(record)) if part else None
+        figure = figure or _DRAW[record["bench"]](record)
         try:
             target.parent.mkdir(parents=True, exist_ok=True)
             # Without the version in the file a picture changes only when its pixels do.
@@ -244,15 +253,15 @@ def _effects(record: Record) -> Figure:
         if not saves:
             axes.axhline(rows[0]["error.rmse"], color=PALE, linestyle=":", linewidth=1.2)
         axes.plot([p[0] for p in points], [p[1] for p in points], "o", color=COLORS[0], markersize=5)
-        for cost, error, rung in points:
-            axes.annotate(rung, (cost, error), xytext=(6, -3), textcoords="offset points", fontsize=8)
+        high = max(row["error.rmse"] for row in rows) or 1.0
+        for (cost, error, rung), shift in zip(points, _label_shifts([p[1] / high for p in points]), strict=True):
+            axes.annotate(rung, (cost, error), xytext=(6, -3 + shift), textcoords="offset points", fontsize=8)
         axes.set(
             xscale="log",
             title=name,
             xlabel="frame [ms]" if saves else "cost [ms]",
             xlim=(least / 1.8, max(p[0] for p in points) * 12.0),
         )
-        high = max(row["error.rmse"] for row in rows) or 1.0
         axes.set_ylim(-0.12 * high, 1.15 * high)
         axes.minorticks_off()
         axes.xaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{v:g}"))
@@ -263,6 +272,22 @@ def _effects(record: Record) -> Figure:
     return figure
 
 
+def _accuracy(record: Record) -> Figure:
+    return accuracy_plots.overview_figure(record, COLORS, PALE, _device(record))
+
+
+def _label_shifts(heights: list[float]) -> list[float]:
+    """How far up each label goes [pt] so that those at one height, a share of the axis, do not lie on one another."""
+    shifts = [0.0] * len(heights)
+    order = sorted(range(len(heights)), key=lambda k: heights[k])
+    for low, high in itertools.pairwise(order):
+        # A label is as high as a tenth of the panel.
+        gap = (heights[high] - heights[low]) * 110.0
+        shifts[high] = max(0.0, shifts[low] + 10.0 - gap)
+    return shifts
+
+
 _DRAW = {
     "triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host, "effects": _effects,
+    "accuracy": _accuracy,
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Writes tables and plots of docs/benchmarks.md, docs/effects.md and README.md from bench/results/*.json.
+"""Writes tables and plots of docs/benchmarks.md, effects.md, accuracy.md and README.md from bench/results/*.json.
 
 No number is typed. A result's file name is its key: `frame.json` fills `<!-- bench:frame -->`, `frame_cpu.json` fills
 `<!-- bench:frame_cpu -->`. The same results give the same files.
@@ -12,6 +12,8 @@ from pathlib import Path
 from warp_deferred.errors import LoadError
 
 from . import record, tables
+from .accuracy_page import accuracy_page, chosen, plot_name
+from .accuracy_tables import ladder_names, overview_table
 from .effect_page import effects_page, overview
 
 __all__ = ["MARKER", "fill", "run"]
@@ -19,7 +21,7 @@ __all__ = ["MARKER", "fill", "run"]
 MARKER = re.compile(r"(<!-- bench:([\w-]+) -->\n).*?(<!-- /bench -->)", re.DOTALL)
 OPENING = re.compile(r"<!-- bench:([\w-]+) -->")
 RESULTS, PAGE, IMAGES = Path("bench/results"), Path("docs/benchmarks.md"), Path("docs/images")
-EFFECTS_PAGE = Path("docs/effects.md")
+EFFECTS_PAGE, ACCURACY_PAGE = Path("docs/effects.md"), Path("docs/accuracy.md")
 #: Bench -> heading and what its table shows; the order of the page.
 SECTIONS = {
     "frame": (
@@ -43,6 +45,11 @@ SECTIONS = {
         "Effects",
         "Each rung of each effect on the scene that shows it, beside the same frame without; pictures, tables and "
         "whole frames with effects are in [effects.md](effects.md).",
+    ),
+    "accuracy": (
+        "What accuracy costs",
+        "Each stage's rungs from cheap to reference on the scene that shows it best; all scenes, the stages' own "
+        "errors, bounds and crops are in [accuracy.md](accuracy.md).",
     ),
     "host": (
         "Host time",
@@ -91,6 +98,8 @@ def run(root: Path, *, check: bool = False) -> list[Path]:
     texts = {root / PAGE: _page(records)}
     if effects := {name: result for name, result in records.items() if result["bench"] == "effects"}:
         texts[root / EFFECTS_PAGE] = effects_page(effects, root / IMAGES)
+    if accuracy := {name: result for name, result in records.items() if result["bench"] == "accuracy"}:
+        texts[root / ACCURACY_PAGE] = accuracy_page(accuracy, root / IMAGES)
     readme = root / "README.md"
     if readme.exists():
         texts[readme] = fill(readme.read_text(encoding="utf-8"), records, str(readme))
@@ -102,10 +111,14 @@ def run(root: Path, *, check: bool = False) -> list[Path]:
         path.write_bytes(texts[path].encode())
     from . import plots
 
-    for name, result in records.items():
-        path = root / IMAGES / f"bench_{name}.png"
+    parts = [(f"bench_{name}.png", result, "") for name, result in records.items()]
+    if accuracy:
+        result = accuracy[chosen(accuracy)]
+        parts += [(plot_name(ladder), result, ladder) for ladder in ladder_names(result)]
+    for name, result, part in parts:
+        path = root / IMAGES / name
         before = _read(path)
-        plots.draw(result, path)
+        plots.draw(result, path, part)
         if _read(path) != before:
             changed.append(path)
     return changed
@@ -124,10 +137,17 @@ def _page(records: dict[str, record.Record]) -> str:
             suffix = name.removeprefix(bench).strip("_-")
             parts.append(f"## {heading}{f' ({suffix})' if suffix else ''}")
             parts.append(text)
-            parts.append(overview(result, EFFECTS_PAGE.name) if bench == "effects" else tables.full_table(result))
+            parts.append(_shown(result))
             parts.append(f"![{heading.lower()}](images/bench_{name}.png)")
             parts.append(f"Measured on {tables.provenance(result)}.")
     return "\n\n".join(parts) + "\n"
+
+
+def _shown(result: record.Record) -> str:
+    """Table of a result; where it has a page of its own, one line a row of that."""
+    if result["bench"] == "effects":
+        return overview(result, EFFECTS_PAGE.name)
+    return overview_table(result, ACCURACY_PAGE.name) if result["bench"] == "accuracy" else tables.full_table(result)
 
 
 def fill(text: str, records: dict[str, record.Record], name: str) -> str:

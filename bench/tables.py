@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from .accuracy_tables import accuracy_table, overview_table
 from .effect_tables import effects_table
 from .frame import pass_names
 from .layout import count_text, markdown, megabytes, milliseconds, spread, verdict
@@ -168,9 +169,11 @@ def _effects(record: Record) -> str:
 
 _FULL = {
     "triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host, "effects": _effects,
+    "accuracy": accuracy_table,
 }  # fmt: skip
 _SHORT = {
     "triangles": lambda record: _triangles(record, full=False),
     "tiles": lambda record: _tiles(record, full=False),
     "frame": frames_table,
+    "accuracy": overview_table,
 }

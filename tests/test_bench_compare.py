@@ -47,7 +47,6 @@ def flagged(comparison):
 @pytest.fixture
 def no_drift(monkeypatch):
     """Noise within the runs alone, so that nothing else hides a false alarm."""
-    monkeypatch.setattr(noise, "CLOCK_MS", 0.0)
     monkeypatch.setattr(compare, "CLOCK_MS", 0.0)
     monkeypatch.setattr(compare, "DRIFT", {"cuda": 0.0, "cpu": 0.0})
 
@@ -66,12 +65,12 @@ def test_student_agrees_with_its_table(chance, freedom, value):
 def test_limit_in_a_case_done_by_hand():
     # Errors 1.8 / (1.8 √9) = 1/3 each, Welch's freedom 16; Student's two-sided 5 % there is 2.1199.
     old, new = noise.Sample(10.0, 1.8, 9), noise.Sample(11.0, 1.8, 9)
-    assert noise.limit(old, new, 1, 0.0, 0.0) == pytest.approx(2.1199 * math.sqrt(2.0) / 3.0, rel=1e-4)
-    assert noise.limit(old, new, 1, 0.03, 0.5) == pytest.approx(2.1199 * math.sqrt(2.0) / 3.0 + 0.8, rel=1e-4)
+    assert noise.limit(old, new, 1, 0.0) == pytest.approx(2.1199 * math.sqrt(2.0) / 3.0, rel=1e-4)
+    assert noise.limit(old, new, 1, 0.8) == pytest.approx(2.1199 * math.sqrt(2.0) / 3.0 + 0.8, rel=1e-4)
     # More times share the same chance of a false alarm.
-    assert noise.limit(old, new, 100, 0.0, 0.0) > 1.8 * noise.limit(old, new, 1, 0.0, 0.0)
+    assert noise.limit(old, new, 100, 0.0) > 1.8 * noise.limit(old, new, 1, 0.0)
     still = noise.Sample(10.0, 0.0, 50)
-    assert noise.limit(still, still, 10, 0.03, 0.001) == pytest.approx(0.301)
+    assert noise.limit(still, still, 10, 0.3) == 0.3
 
 
 @pytest.mark.parametrize("draw", ["normal", "exponential"])
@@ -144,6 +143,17 @@ def test_a_time_without_spread_takes_the_widest_of_its_row():
         result["rows"][0] = {"case": "case_0", "raster.ms": 1.0}
     with pytest.raises(LoadError, match=r"raster\.ms: expected a time with a spread"):
         compare.compare(old, new)
+
+
+def test_runs_differ_by_a_share_of_the_whole_that_a_time_is_a_difference_of():
+    row = {"ladder": "l", "scene": "s", "rung": "r"} | Timing(100.0, 100.0, 100.0, 9).metrics("frame")
+    old = made(np.random.default_rng(0)) | {"bench": "accuracy", "rows": [row | Timing(2.0, 2, 2, 9).metrics("stage")]}
+    for stage, verdict in ((4.9, "same"), (5.1, "slower")):
+        new = old | {"rows": [row | Timing(stage, stage, stage, 9).metrics("stage")]}
+        assert {c.metric: c.verdict for c in compare.compare(old, new).changes} == {
+            "frame.ms": "same",
+            "stage.ms": verdict,
+        }
 
 
 def test_few_repeats_widen_the_noise():

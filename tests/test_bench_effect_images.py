@@ -58,5 +58,5 @@ def test_a_strip_shrinks_until_it_fits(tmp_path, monkeypatch):
     noise = np.random.default_rng(0).integers(0, 255, (270, 480, 4)).astype(np.uint8)
     monkeypatch.setattr(effect_images, "MOST_BYTES", 60_000)
     case = effect_cases.EFFECT_CASES["bloom"]
-    path = effect_images._write(tmp_path / "a.png", case, {"off": noise, "exact": noise})
+    path = effect_images.write_cells(tmp_path / "a.png", case, {"off": noise, "exact": noise})
     assert 20_000 < path.stat().st_size <= 60_000 and effect_images.strip_rungs(path) == ["off", "exact"]
