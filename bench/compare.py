@@ -16,7 +16,7 @@ from warp_deferred.checks import check_range
 from warp_deferred.errors import InputError, LoadError
 
 from .layout import count_text, markdown, megabytes, milliseconds
-from .noise import CLOCK_MS, DRIFT, Sample, limit
+from .noise import DRIFT, FLOOR_MS, Sample, limit
 from .record import Record
 from .timing import MIN_REPEATS, REPEATS
 
@@ -121,7 +121,7 @@ def compare(old: Record, new: Record, *, factor: float = 1.0) -> Comparison:
 def _check_alike(old: Record, new: Record) -> None:
     keys = ["bench", "warp", "device", "quick"]
     # Host time is of the machine, whatever the device.
-    if old["device"].startswith("CPU") or old["bench"] == "host":
+    if _kind(old) == "cpu" or old["bench"] == "host":
         keys.append("machine")
     for key in keys:
         if old[key] != new[key]:
@@ -139,7 +139,7 @@ def _notes(old: Record, new: Record) -> Iterator[str]:
         if str(record["commit"]).endswith("-dirty"):
             yield f"the {state} result is of files that no commit has ({record['commit']})"
     if (before := old.get("copy_bytes_per_s")) and (after := new.get("copy_bytes_per_s")):
-        if abs(after / before - 1.0) > _drift(old):
+        if abs(after / before - 1.0) > DRIFT[_kind(old)]:
             yield f"the device copies {after / 1e9:,.0f} GB/s and copied {before / 1e9:,.0f}: is it alone?"
 
 
@@ -195,9 +195,9 @@ def _row_changes(
         if not isinstance(after, (int, float)):
             raise LoadError(f"{name}: {metric}: expected a number, got {after!r}; run the bench again")
         if _is_time(metric):
-            on_host = metric.endswith(".us") or _on_cpu(records[0])
             whole = abs(old.get(WHOLE.get(metric, metric), before))
-            between = DRIFT["cpu"] * whole if on_host else DRIFT["cuda"] * whole + CLOCK_MS
+            # Host times, in microseconds, are those of one thread.
+            between = DRIFT["cpu"] * whole if metric.endswith(".us") else _between(records[0], whole)
             samples = [_sample(row, metric, record) for row, record in zip(rows, records, strict=True)]
             noise, words = factor * limit(*samples, count, between), ("slower", "faster")
         else:
@@ -216,7 +216,7 @@ def _sample(row: Row, metric: str, record: Record) -> Sample:
     if spread is None:
         raise LoadError(f"{metric}: expected a time with a spread in its row, got none; run the bench again")
     told = row.get(f"{metric.rpartition('.')[0]}.repeats", row.get("frame.repeats", row.get("calls")))
-    fewest = QUICK_REPEATS if record["quick"] else MIN_REPEATS if _on_cpu(record) else REPEATS
+    fewest = QUICK_REPEATS if record["quick"] else MIN_REPEATS if _kind(record) == "cpu" else REPEATS
     return Sample(row[metric], spread, max(int(told if told is not None else fewest), 2))
 
 
@@ -226,12 +226,15 @@ def _spread(row: Row, metric: str) -> float | None:
     return None if None in ends else max(ends[1] - ends[0], 0.0)
 
 
-def _on_cpu(record: Record) -> bool:
-    return record["device"].startswith("CPU")
+def _kind(record: Record) -> str:
+    """Kind of the device: cpu or cuda."""
+    return "cpu" if record["device"].startswith("CPU") else "cuda"
 
 
-def _drift(record: Record) -> float:
-    return DRIFT["cpu" if _on_cpu(record) else "cuda"]
+def _between(record: Record, time: float) -> float:
+    """Milliseconds by which runs differ whatever their spreads, for a time in milliseconds."""
+    kind = _kind(record)
+    return DRIFT[kind] * time + FLOOR_MS[kind]
 
 
 def table(comparison: Comparison, *, everything: bool = False) -> str:

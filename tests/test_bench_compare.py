@@ -47,8 +47,8 @@ def flagged(comparison):
 @pytest.fixture
 def no_drift(monkeypatch):
     """Noise within the runs alone, so that nothing else hides a false alarm."""
-    monkeypatch.setattr(compare, "CLOCK_MS", 0.0)
-    monkeypatch.setattr(compare, "DRIFT", {"cuda": 0.0, "cpu": 0.0})
+    for name in ("DRIFT", "FLOOR_MS"):
+        monkeypatch.setattr(compare, name, {"cuda": 0.0, "cpu": 0.0})
 
 
 # ---- the rule
@@ -177,7 +177,7 @@ def test_few_repeats_widen_the_noise():
     "bench, told, time",
     [("host", "calls", "host.us"), ("effects", "frame.repeats", "pass.shade.ms"), ("frame", "a.repeats", "a.ms")],
 )
-def test_repeats_are_found_under_their_names(bench, told, time):
+def test_repeats_are_found_under_their_names(no_drift, bench, told, time):
     def noise_of(repeats):
         row = {"case": "c", time: 5.0, f"{time}_p5": 4.0, f"{time}_p95": 6.0, told: repeats}
         result = made(np.random.default_rng(0)) | {"bench": bench, "rows": [row]}
