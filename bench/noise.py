@@ -23,12 +23,13 @@ __all__ = ["ALARM", "DRIFT", "FLOOR_MS", "Sample", "limit", "student"]
 
 #: Chance that a comparison of results of the same code names any time.
 ALARM = 0.05
-#: Share of a time, and milliseconds on top, by which runs of the same code differ beyond their spreads. cuda: 67
-#: medians of passes that did the same work at commits 44ef234 and 00d399c on an H200 (clusters, resolve, lights, culling,
-#: display): 62 differ by at most the share, all by at most both. cpu: frame and passes in pairs of 8 runs of `frame` on
-#: 2 cores one after the other, and of 4 beside other work: all 272; a machine that does other work in one run only
-#: differs by a factor. The milliseconds are what starting host threads takes, or what two events of the device, each
-#: told to half a microsecond (CUDA Runtime API, `cudaEventElapsedTime`), cannot tell.
+#: Share of a time, and milliseconds on top, by which runs of the same code differ beyond their spreads.
+#: cuda: of 84 medians of clusters, resolve, lights, culling and display in the H200 results of commits 44ef234 and
+#: 00d399c, between which their work stayed the same, 78 differ by at most the share and 83 by at most both; the one left
+#: is of masks that came in bands since. The milliseconds are what two events cannot tell, each with half a microsecond
+#: (CUDA Runtime API, `cudaEventElapsedTime`).
+#: cpu: the frame and its passes in all pairs of 8 runs of `frame` on 2 cores, one after the other, and of 4 runs beside
+#: other work: all 272 medians. A machine that does other work in one run only differs by a factor.
 DRIFT = {"cuda": 0.03, "cpu": 0.25}
 FLOOR_MS = {"cuda": 0.001, "cpu": 0.03}
 #: Nodes of the integral over Student's density.
