@@ -25,9 +25,9 @@ __all__ = ["ALARM", "DRIFT", "FLOOR_MS", "Sample", "limit", "student"]
 ALARM = 0.05
 #: Share of a time, and milliseconds on top, by which runs of the same code differ beyond their spreads.
 #: cuda: of 84 medians of clusters, resolve, lights, culling and display in the H200 results of commits 44ef234 and
-#: 00d399c, between which their work stayed the same, 78 differ by at most the share and 83 by at most both; the one left
-#: is of masks that came in bands since. The milliseconds are what two events cannot tell, each with half a microsecond
-#: (CUDA Runtime API, `cudaEventElapsedTime`).
+#: 00d399c, between which their work stayed the same, 78 differ by at most the share and 83 by at most both; the one
+#: left, 10 000 lights in tiles of 8 px at 4K, got 16 times faster. The milliseconds are what two events cannot tell,
+#: each with half a microsecond (CUDA Runtime API, `cudaEventElapsedTime`).
 #: cpu: the frame and its passes in all pairs of 8 runs of `frame` on 2 cores, one after the other, and of 4 runs beside
 #: other work: all 272 medians. A machine that does other work in one run only differs by a factor.
 DRIFT = {"cuda": 0.03, "cpu": 0.25}
