@@ -101,6 +101,23 @@ def test_kept_maps_are_drawn_anew_where_the_camera_turns_towards_other_casters(d
         assert_same(images(kept.render(camera)), images(fresh.render(camera)))
 
 
+def test_kept_cascades_are_drawn_anew_where_the_camera_rolls(device):
+    # The sphere around a slice, and with it the map's view, stays to the bit; the frustum in it does not.
+    scene = wd.load("terrain?triangles=20000&lights=0")
+    scene.lights.add(wd.DirectionalLight(direction=(0.5, -0.4, 0.3), intensity=2.0, casts_shadow=True))
+    settings = [wd.Settings().with_values([f"shadow.keep_maps={keep}", "shadow.rung=pcf",
+                                           "shadow.directional_size=512"]) for keep in ("true", "false")]  # fmt: skip
+    kept, fresh = (wd.Renderer(scene, width=192, height=24, device=device, outputs=NAMES, settings=s) for s in settings)
+    pictures, views = [], []
+    for up in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        camera = wd.Camera.look_at((0.0, 2.5, 4.0), (0.0, 0.5, -4.0), up=up)
+        pictures.append(images(kept.render(camera)))
+        assert_same(pictures[-1], images(fresh.render(camera)))
+        views.append(kept.plan.resources.frame.views.numpy()[1:]["origin"])
+    assert all(np.array_equal(view, views[0]) for view in views)
+    assert not np.array_equal(pictures[0]["diffuse"], pictures[1]["diffuse"])
+
+
 def test_samples_through_a_lens_see_every_caster(device, monkeypatch):
     scene = wd.load("terrain?triangles=20000&lights=0")
     scene.lights.add(wd.DirectionalLight(direction=(0.5, -0.6, 0.3), intensity=2.0, casts_shadow=True))
