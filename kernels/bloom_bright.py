@@ -228,6 +228,9 @@ def make_bright_kernel(half: bool, weighted: bool):
         # Out
         out_texels: wp.array[wp.uint64],
     ):
+        # Where shade saw nothing bright all of bloom is skipped; display looks at the same flag.
+        if bloom.bright[0] == 0:
+            return
         thread = wp.tid() + first
         strip = load_vec4i(strips, pixel_block(thread))
         level = bloom.levels[strip[3]]

@@ -55,6 +55,49 @@ def any_lane(flag: wp.bool) -> wp.bool:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    const unsigned int lanes = __ballot_sync(0xffffffffu, flag);
+    return wp::vec_t<2, wp::int32>(__popc(lanes & ((1u << (threadIdx.x & 31)) - 1u)), __popc(lanes));
+#else
+    return wp::vec_t<2, wp::int32>(0, flag ? 1 : 0);
+#endif
+""")
+def flagged_lanes(flag: wp.bool) -> wp.vec2i:
+    """How many lanes of the warp before this one, and how many in all, have the flag set; all lanes must call it."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ int numbers[256];
+    if (storing) {
+        numbers[(threadIdx.x >> 5) * 128 + index] = value;
+        return value;
+    }
+    return numbers[(threadIdx.x >> 5) * 128 + index];
+#else
+    return value;
+#endif
+""")
+def warp_numbers(storing: wp.bool, index: wp.int32, value: wp.int32) -> wp.int32:
+    """Store to, or read from, 128 numbers that the lanes of a warp share, in blocks of two warps.
+
+    `warp_sync` between the two. The CPU, where a warp is one lane, has none and gives `value` back.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
+""")
+def warp_sync():
+    """Wait for all lanes of the warp, every one of which must arrive."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __shared__ wp::uint64 words[128];
     if (storing) {
         words[index] = value;
@@ -63,15 +106,71 @@ def any_lane(flag: wp.bool) -> wp.bool:
     return words[index];
 #else
     if (storing)
-        scratch.data[base + index] = value;
-    return scratch.data[base + index];
+        scratch.data[index] = value;
+    return scratch.data[index];
 #endif
 """)
-def shared_double_words(
-    scratch: wp.array[wp.uint64], storing: wp.bool, base: wp.int32, index: wp.int32, value: wp.uint64
-) -> wp.uint64:
+def shared_double_words(scratch: wp.array[wp.uint64], storing: wp.bool, index: wp.int32, value: wp.uint64) -> wp.uint64:
     """Store to, or read from, 1 KiB of memory that the block's lanes share; sync between the two.
 
-    The CPU, where a block is one lane, uses 128 elements of `scratch` from `base` on instead.
+    The CPU, where a block is one lane, uses `scratch` instead, at least 128 elements, in launches of one thread.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __shared__ int item;
+    if (threadIdx.x == 0)
+        item = atomicAdd(counters.data, 1);
+    __syncthreads();
+    return item;
+#else
+    return block;
+#endif
+""")
+def next_item(counters: wp.array[wp.int32], block: wp.int32) -> wp.int32:
+    """Item that the block takes, once a launch; all its lanes must call it.
+
+    Blocks begin in no promised order, so items are counted by `counters[0]`; the CPU runs `block` after block.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    if (threadIdx.x == 0) {
+        const volatile int* done = counters.data + step;
+        while (step > 0 && *done < count)
+            __nanosleep(32);
+        __threadfence();
+    }
+    __syncthreads();
+#endif
+""")
+def wait_for_items(counters: wp.array[wp.int32], step: wp.int32, count: wp.int32):
+    """Wait until `count` items of the step before are done and what they wrote is visible; all lanes must call it.
+
+    Items of step k count in `counters[k + 1]`. On the CPU they are done.
+    """
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    __syncthreads();
+    if (threadIdx.x == 0) {
+        __threadfence();
+        const int done = atomicAdd(counters.data + step + 1, 1) + 1;
+        if (done == -count)
+            for (int k = 0; k < step + 2; ++k)
+                counters.data[k] = 0;
+    }
+#endif
+""")
+def finish_item(counters: wp.array[wp.int32], step: wp.int32, count: wp.int32):
+    """Count an item as done, with all that the block wrote; all lanes must call it.
+
+    A negative count stands for that many items of the last step: the last one of them sets all counters back to 0.
     """
     ...

@@ -7,7 +7,7 @@ import pytest
 import reference
 from bloom_harness import KEEP, RUNGS, Blooming, bloom_of, gaussians_of, lamps, noise, request_of, rung, shown
 
-from warp_deferred.passes.bloom import BloomPass
+from warp_deferred.passes.bloom import KINDS, BloomPass
 from warp_deferred.views import ViewLayout, ViewSize
 
 SIZES = [(64, 48), (33, 17), (1, 1), (1, 9), (7, 1), (2, 2), (135, 40), (65, 129)]
@@ -240,26 +240,38 @@ def test_threads_change_no_bit(name):
     "sizes", [[(64, 48)], [(33, 17)], [(3, 300), (135, 40), (65, 129)], [(640, 360)], [(641, 363), (97, 61), (1, 1)]]
 )
 def test_levels_made_together_have_the_bits_of_levels_made_one_by_one(sizes, radius, device):
-    """What `narrow_kernel` and `widen_kernel` make against `downsample_kernel` and `upsample_kernel`."""
+    """What `chain_kernel` makes in two frames against `downsample_kernel` and `upsample_kernel`."""
     pictures = [noise(w, h, seed) for seed, (w, h) in enumerate(sizes)]
     # A view that does not scatter makes nothing.
     shares = np.linspace(0.0 if len(sizes) == 3 else 1.0, 1.0, len(sizes))
     fields = ("bloom.threshold=0", f"bloom.radius={radius}")
     alone, together = (
-        Blooming(pictures, *fields, shares=shares, together=t, device=device).run() for t in (False, True)
+        Blooming(pictures, *fields, shares=shares, together=t, device=device).run().run() for t in (False, True)
     )
+    assert together.stage.chained and not alone.stage.chained
+    assert not together.stage.counters.numpy().any()
     for v, share in enumerate(shares):
         assert np.array_equal(alone.level(v), together.level(v), equal_nan=True)
         assert np.isfinite(together.level(v)).all() == (share > 0.0)
     if radius == 0.5 and sizes[0] == (64, 48):
-        names = [kernel.key for kernel, _, _ in together.stage.steps]
-        assert names == ["narrow_kernel", "widen_kernel"]
+        assert [name for name, _ in together.stage.pyramid.steps(True)] == ["narrow", "widen"]
 
 
-def test_a_1080p_frame_takes_seven_launches():
+def test_a_1080p_frame_takes_six_steps_of_waiting():
     request = request_of((ViewSize(1920, 1080),))
-    steps = BloomPass().bound(request, ViewLayout(request.sizes, 16)).pyramid.steps(True)
-    assert [name for name, _ in steps] == ["downsample", "downsample", "narrow", "widen", "upsample", "upsample"]
+    pyramid = BloomPass().bound(request, ViewLayout(request.sizes, 16)).pyramid
+    names = ["downsample", "downsample", "narrow", "widen", "upsample", "upsample"]
+    assert [name for name, _ in pyramid.steps(True)] == names
+    items, steps, count = pyramid.chain()
+    assert count == 6
+    sizes = np.bincount(steps[:, 0])
+    for k, name in enumerate(names):
+        own = steps[steps[:, 0] == k]
+        assert {KINDS[kind] for kind in own[:, 1]} == {name}
+        # What it waits for, and what is counted; negative in the last step.
+        assert set(own[:, 2]) == {sizes[k - 1] if k else 0}
+        assert set(own[:, 3]) == {sizes[k] if k < 5 else -sizes[k]}
+    assert (np.diff(steps[:, 0]) >= 0).all() and len(items) == len(steps)
 
 
 @pytest.mark.gpu
