@@ -254,6 +254,25 @@ def peers(
 
 
 @app.command()
+def scaling(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Annotated[str, typer.Option("--only", metavar="AXIS", help="Vary this alone, such as lights.")] = "",
+) -> None:
+    """How time and memory grow with triangles, lights, pixels and views; the CPU runs fewer and smaller points."""
+    from warp_deferred.checks import check_choice
+
+    from .scaling import AXES
+
+    if only:
+        check_choice("--only", only, [axis.name for axis in AXES])
+    _bench("scaling", device, json, plot, quick, set_, only=only, keeps=True)
+
+
+@app.command()
 def preview(
     out: Annotated[str, typer.Option("--out", "-o", metavar="DIR", help="Folder for the pictures.")] = "out/bench",
     device: Device = "cuda:0",

@@ -66,8 +66,8 @@ class OpenGL:
         "pass from 4 lights on; shadow maps of the same size, drawn anew, 9 bilinear taps over 4x4 texels; sRGB"
     )
     leaves_out = (
-        "culling of triangles and of lights; ids, specular reflection, tone curve; coverage and depth are the driver's, "
-        "not stated bit for bit; the picture stays in a texture, and a copy to CUDA or the host is not in the time"
+        "culling of triangles and of lights; ids, specular reflection, tone curve; coverage and depth are whatever the "
+        "driver makes them; the picture stays in a texture, and a copy to CUDA or the host is not in the time"
     )
     method = "GL_TIME_ELAPSED queries, queued without waiting between them; wall-clock time where it draws on the CPU"
     wins = (
