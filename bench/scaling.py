@@ -29,8 +29,10 @@ from .timing import MIN_REPEATS, REPEATS, time_passes, time_program
 
 __all__ = ["AXES", "Axis", "fit", "run"]
 
-#: Triangles of the one mesh that larger terrains are tiled with: it is cut into clusters once.
-TILE_TRIANGLES = 10_000_000
+#: Most triangles of a terrain that is one mesh; to cut more into clusters takes the host minutes.
+WHOLE_TRIANGLES = 10_000_000
+#: Most triangles of the one mesh that larger terrains are tiled with.
+TILE_TRIANGLES = 1_000_000
 #: Side of the terrain [m].
 GROUND = 20.0
 #: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
@@ -93,11 +95,11 @@ class Axis:
 
 
 def tiled_terrain(triangles: int) -> Scene:
-    """Terrain under a sun; past `TILE_TRIANGLES` it is tiled with scaled instances of one mesh of at most so many.
+    """Terrain under a sun; past `WHOLE_TRIANGLES` it is tiled with scaled instances of one mesh.
 
     Tiles keep the ground's area and the camera, so that there are more triangles to each pixel and nothing else.
     """
-    across = max(1, math.ceil(math.sqrt(triangles / TILE_TRIANGLES)))
+    across = 1 if triangles <= WHOLE_TRIANGLES else math.ceil(math.sqrt(triangles / TILE_TRIANGLES))
     scene = load(f"terrain?triangles={max(2, round(triangles / across**2))}")
     if across == 1:
         return scene
