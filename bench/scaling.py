@@ -260,7 +260,7 @@ def fits(rows: Sequence[Row]) -> list[Row]:
         figures |= {f"pass.{name}.ms": [row[f"pass.{name}.ms"] for row in points] for name in names}
         found += [_fitted(axis, name, points, values) for name, values in figures.items() if min(values) > 0.0]
         # Triangles that instances share take no memory of their own.
-        own = [row for row in points if row["stored_triangles"] == row["triangles"]]
+        own = [row for row in points if axis != "triangles" or row["stored_triangles"] == row["triangles"]]
         if len(own) >= FEWEST:
             found.append(_fitted(axis, "bytes", own, [row["memory.bytes"] + row["scene.bytes"] for row in own]))
     return found

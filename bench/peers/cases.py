@@ -22,7 +22,7 @@ KINDS = {
     "gbuffer": "G-buffer only: nearest surface of each pixel with its depth, normal and material",
     "lit": "point lights, none with a shadow, and ambient light",
     "shadowed": "spot lights that cast shadows, and ambient light",
-    "frame": "whole frame: 1000 point lights, 4 spot lights with shadows, ambient light",
+    "frame": "whole frame: many point lights, a few spot lights with shadows, ambient light",
 }
 #: Cosines of a spot's cone: full light within the first, none beyond the second.
 COSINES = (0.95, 0.85)
