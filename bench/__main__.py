@@ -238,6 +238,41 @@ def host(
 
 
 @app.command()
+def peers(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Annotated[
+        str, typer.Option("--only", metavar="CASE", help="Run cases with this in their names, such as lit_1000.")
+    ] = "",
+    preview: Annotated[str, typer.Option("--preview", metavar="DIR", help="Write a picture of each row here.")] = "",
+) -> None:
+    """Newton, OpenGL and nvdiffrast beside this renderer, on the same scenes in one run; who is missing is named."""
+    _bench("peers", device, json, plot, quick, set_, only=only, images=preview, keeps=True)
+
+
+@app.command()
+def scaling(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Annotated[str, typer.Option("--only", metavar="AXIS", help="Vary this alone, such as lights.")] = "",
+) -> None:
+    """How time and memory grow with triangles, lights, pixels and views; the CPU runs fewer and smaller points."""
+    from warp_deferred.checks import check_choice
+
+    from .scaling import AXES
+
+    if only:
+        check_choice("--only", only, [axis.name for axis in AXES])
+    _bench("scaling", device, json, plot, quick, set_, only=only, keeps=True)
+
+
+@app.command()
 def preview(
     out: Annotated[str, typer.Option("--out", "-o", metavar="DIR", help="Folder for the pictures.")] = "out/bench",
     device: Device = "cuda:0",

@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 
 __all__ = [
-    "EFFECT_TARGETS_MS", "FRAME_TARGETS", "HOST_TARGET_US", "LIGHT_TARGETS_MS", "SKIPPED_TARGET_MS", "TRIANGLE_QUOTES",
-    "FrameTarget", "TriangleQuote",
+    "EFFECT_TARGETS_MS", "FRAME_TARGETS", "HOST_TARGET_US", "LIGHT_TARGETS_MS", "PEER_TARGETS", "SKIPPED_TARGET_MS",
+    "TRIANGLE_QUOTES", "FrameTarget", "TriangleQuote",
 ]  # fmt: skip
 
 
@@ -75,3 +75,12 @@ EFFECT_TARGETS_MS = {
 }
 #: Most milliseconds an effect may cost that is in the plan and skipped on the device.
 SKIPPED_TARGET_MS = 0.010
+#: (case, peer) -> how many times our time the peer's must be at least, on one H200.
+PEER_TARGETS = {
+    ("gbuffer_1080p", "nvdiffrast"): 4.0,
+    ("gbuffer_1080p", "opengl"): 4.0,
+    ("lit_1000", "newton"): 20.0,
+    ("lit_1000", "newton_sensor_camera"): 20.0,
+    ("shadowed_16", "newton"): 15.0,
+    ("shadowed_16", "newton_sensor_camera"): 15.0,
+}
