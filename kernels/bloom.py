@@ -136,25 +136,61 @@ def tent_ahead(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
     return a * 3.0 + b * 7.0 + c * 5.0 + d
 
 
-@wp.func
-def bilinear(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
-    """A level seen from texel (x, y) of the next finer one, interpolated between 2 x 2 texels, times 16."""
-    i, j = x >> 1, y >> 1
-    i1 = mirrored(i + 2 * (x & 1) - 1, level.width, level.edge_x)
-    j1 = mirrored(j + 2 * (y & 1) - 1, level.height, level.edge_y)
-    row, row1 = level.first + j * level.width, level.first + j1 * level.width
-    near = word_value(texels, row + i) * 3.0 + word_value(texels, row + i1)
-    far = word_value(texels, row1 + i) * 3.0 + word_value(texels, row1 + i1)
-    return near * 3.0 + far
+@wp.struct
+class Quad:
+    """One value for each of 2 x 2 pixels."""
+
+    nw: wp.vec3
+    ne: wp.vec3
+    sw: wp.vec3
+    se: wp.vec3
+
+
+@wp.struct
+class Pair:
+    """What two pixels side by side see of a row of texels, times 4."""
+
+    left: wp.vec3
+    right: wp.vec3
 
 
 @wp.func
-def downsample_pair(texels: wp.array[wp.uint64], levels: wp.array[BloomLevel], block: wp.vec4i, place: wp.vec2i):
+def bilinear_pair(texels: wp.array[wp.uint64], level: BloomLevel, columns: wp.vec3i, y: wp.int32):
+    """One row, mirrored, under the pixels above the middle one of three columns."""
+    row = level.first + mirrored(y, level.height, level.edge_y) * level.width
+    middle = word_value(texels, row + columns[1]) * 3.0
+    pair = Pair()
+    pair.left = middle + word_value(texels, row + columns[0])
+    pair.right = middle + word_value(texels, row + columns[2])
+    return pair
+
+
+@wp.func
+def bilinear_quad(texels: wp.array[wp.uint64], level: BloomLevel, i: wp.int32, j: wp.int32):
+    """A level seen from the 2 x 2 texels of the next finer one above texel (i, j), times 16.
+
+    Each is interpolated between 2 x 2 texels; the four share nine of them.
+    """
+    columns = wp.vec3i(mirrored(i - 1, level.width, level.edge_x), i, mirrored(i + 1, level.width, level.edge_x))
+    above, here = bilinear_pair(texels, level, columns, j - 1), bilinear_pair(texels, level, columns, j)
+    below = bilinear_pair(texels, level, columns, j + 1)
+    left, right = here.left * 3.0, here.right * 3.0
+    quad = Quad()
+    quad.nw = left + above.left
+    quad.ne = right + above.right
+    quad.sw = left + below.left
+    quad.se = right + below.right
+    return quad
+
+
+@wp.func
+def downsample_pair(
+    texels: wp.array[wp.uint64], level: BloomLevel, finer: BloomLevel, block: wp.vec4i, place: wp.vec2i
+):
     """Fill two texels, one below the other, which share four rows, from the next finer level.
 
     48 loads and 258 operations.
     """
-    level, finer = levels[block[3]], levels[block[3] - 1]
     x, y = block[1] + place[0], 2 * (block[2] + place[1])
     if x < level.width and y < level.height:
         columns = six_columns(finer, x)
@@ -185,7 +221,8 @@ def downsample_kernel(
     thread = wp.tid() + first
     block = load_vec4i(blocks, pixel_block(thread))
     if views[block[0]].bloom > 0.0:
-        downsample_pair(out_texels, levels, block, pixel_in_block(thread))
+        level, finer = levels[block[3]], levels[block[3] - 1]
+        downsample_pair(out_texels, level, finer, block, pixel_in_block(thread))
 
 
 @wp.struct
@@ -215,12 +252,11 @@ def mixed(own: wp.vec3, wider: wp.vec3, level: BloomLevel):
 
 
 @wp.func
-def upsample_quad(texels: wp.array[wp.uint64], levels: wp.array[BloomLevel], block: wp.vec4i, place: wp.vec2i):
+def upsample_quad(texels: wp.array[wp.uint64], level: BloomLevel, wider: BloomLevel, block: wp.vec4i, place: wp.vec2i):
     """Mix the wider levels into the 2 x 2 texels that see the same 4 x 4; x and y count the wider texels' corners.
 
     16 + 4 loads and 228 operations for the tents.
     """
-    level, wider = levels[block[3]], levels[block[3] + 1]
     x, y = block[1] + place[0], block[2] + place[1]
     if 2 * x <= level.width and 2 * y <= level.height:
         columns = wp.vec4i(
@@ -265,7 +301,8 @@ def upsample_kernel(
     thread = wp.tid() + first
     block = load_vec4i(blocks, pixel_block(thread))
     if views[block[0]].bloom > 0.0:
-        upsample_quad(out_texels, levels, block, pixel_in_block(thread))
+        level, wider = levels[block[3]], levels[block[3] + 1]
+        upsample_quad(out_texels, level, wider, block, pixel_in_block(thread))
 
 
 @wp.kernel(grid_stride=False)

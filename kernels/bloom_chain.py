@@ -1,13 +1,13 @@
 """Bloom's levels from 2 on, all in one launch: on a GPU a launch of a few thousand texels is nearly all waiting.
 
-**Chain.** The work is cut into items, a block of 64 lanes each, listed step by step: down the pyramid, then up. A
-block takes the next item off a counter, waits until all items of the step before are done, works and says so. Items are
-taken in order, so whatever a block waits for is in the hands of blocks that run already: any number of blocks may be
+**Chain.** The work is cut into items of 64 lanes, four a block, listed step by step: down the pyramid, then up. A block
+takes the next four off a counter, waits until all blocks of the step before are done, works and says so. Work is taken
+in order, so whatever a block waits for is in the hands of blocks that run already: any number of blocks may be
 resident, in any order, and none waits for ever. (The decoupled look-back of prefix sums rests on the same; Merrill and
-Garland 2016, "Single-pass Parallel Prefix Scan with Decoupled Look-back".) The last item done sets the counters back
-to 0. A fence on either side of a step makes what other multiprocessors wrote visible, and drops what the L1 cache held
-of it. Where shade saw nothing bright every block leaves at once: cheaper than a conditional node around the launches,
-which takes 9 to 11 us of an H200 whether it skips them or not.
+Garland 2016, "Single-pass Parallel Prefix Scan with Decoupled Look-back".) The last block done sets the counters back
+to 0. Counting releases what a block wrote, and the end of waiting acquires it. Where shade saw nothing bright every
+block leaves at once: cheaper than a conditional node around the launches, which takes 9 to 11 us of an H200 whether it
+skips them or not.
 
 **Together.** A step costs about 2 us of waiting, so small levels share steps; what several blocks need each makes
 again. Every texel is the one that `downsample_kernel` and `upsample_kernel` make, to the bit. A block keeps a square of
@@ -38,18 +38,20 @@ from .bloom import (
     upsample_quad,
     word_value,
 )
-from .intrinsics import block_sync, load_vec4i, unpack_half3
-from .lanes import finish_item, next_item, shared_double_words, wait_for_items, warp_width
+from .intrinsics import load_vec4i, unpack_half3
+from .lanes import finish_step, group_sync, next_turn, shared_double_words, wait_for_step, warp_width
 from .projection import pixel_in_block
 from .structs import Bloom, BloomLevel, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-BLOCK_DIM = 64
-#: Texels of a block's square, and along its side.
+BLOCK_DIM = 256
+#: Texels of an item's square, and along its side.
 SQUARE = wp.constant(64)
 SIDE = wp.constant(8)
-#: Words of memory that a block's lanes share: two squares.
+#: Items of a block: fewer blocks wait, and there are fewer to count.
+ITEMS = wp.constant(4)
+#: Words of memory that an item's lanes share: two squares.
 SHARED = 128
 #: What an item is.
 DOWNSAMPLE, NARROW, WIDEN, UPSAMPLE = (wp.constant(kind) for kind in range(4))
@@ -83,13 +85,14 @@ def six_kept(scratch: wp.array[wp.uint64], slot: wp.int32):
 @wp.func
 def narrow_square(
     texels: wp.array[wp.uint64],
-    levels: wp.array[BloomLevel],
+    finer: BloomLevel,
+    level: BloomLevel,
+    wider: BloomLevel,
     scratch: wp.array[wp.uint64],
     square: wp.vec4i,
     lane: wp.int32,
 ):
     """Fill two levels from the next finer one: 2 x 2 texels of the second; all lanes of the block must come."""
-    finer, level, wider = levels[square[3] - 2], levels[square[3] - 1], levels[square[3]]
     for k in range(lane, SQUARE, lane_step()):
         i, j = k & (SIDE - 1), k // SIDE
         x, y = 2 * square[1] - 2 + i, 2 * square[2] - 2 + j
@@ -99,7 +102,7 @@ def narrow_square(
         # The middle is the block's own.
         if wp.min(i, j) >= 2 and wp.max(i, j) < SIDE - 2 and x < level.width and y < level.height:
             texels[level.first + y * level.width + x] = word
-    block_sync()
+    group_sync()
     for k in range(lane, 4, lane_step()):
         i, j = k & 1, k // 2
         x, y = square[1] + i, square[2] + j
@@ -191,7 +194,7 @@ def widen_square(
         level = levels[square[3] + steps]
         wider_start = wp.vec2i(square_start(square[1], steps + 1), square_start(square[2], steps + 1))
         x0, y0 = square_start(square[1], steps), square_start(square[2], steps)
-        block_sync()
+        group_sync()
         for k in range(lane, SQUARE, lane_step()):
             x, y = x0 + (k & (SIDE - 1)), y0 + k // SIDE
             at = wp.vec2i(mirrored(x, level.width, level.edge_x), mirrored(y, level.height, level.edge_y))
@@ -217,27 +220,36 @@ def chain_kernel(
     out_counters: wp.array[wp.int32],
     out_texels: wp.array[wp.uint64],
 ):
-    """Turn level 1 into bloom: a block an item.
+    """Turn level 1 into bloom: a block four items.
 
-    Items are view, x, y and row of `levels`; `steps` has beside each the number of its step, what it is, the items of
-    the step before, and those of its own, negative in the last step.
+    Items are view, x, y and row of `levels`, with view -1 where a step has no fourth one; `steps` has for each block
+    the number of its step, what it is, the blocks of the step before, and those of its own, negative in the last step.
     """
-    # The same for the whole block, as all that follows up to an item's texels.
+    # The same for the whole block, as all that follows up to its items.
     if bloom.bright[0] == 0:
         return
     thread = wp.tid()
     lane = thread & (SQUARE - 1)
-    k = next_item(out_counters, thread // SQUARE)
-    item, step = load_vec4i(items, k), load_vec4i(steps, k)
-    wait_for_items(out_counters, step[0], step[2])
-    if views[item[0]].bloom > 0.0:
-        if step[1] == DOWNSAMPLE:
-            downsample_pair(out_texels, bloom.levels, item, pixel_in_block(thread))
-        elif step[1] == UPSAMPLE:
-            upsample_quad(out_texels, bloom.levels, item, pixel_in_block(thread))
+    turn = next_turn(out_counters, thread // BLOCK_DIM)
+    item = load_vec4i(items, turn * ITEMS + (thread & (BLOCK_DIM - 1)) // SQUARE)
+    step = load_vec4i(steps, turn)
+    # What does not change is on its way while the block waits.
+    kind, row = step[1], wp.max(item[3], 0)
+    share = wp.float32(0.0)
+    if item[0] >= 0:
+        share = views[item[0]].bloom
+    level = bloom.levels[row]
+    other = bloom.levels[wp.where(kind == UPSAMPLE, row + 1, wp.max(row - 1, 0))]
+    finest = bloom.levels[wp.max(row - 2, 0)]
+    wait_for_step(out_counters, step[0], step[2])
+    if share > 0.0:
+        if kind == DOWNSAMPLE:
+            downsample_pair(out_texels, level, other, item, pixel_in_block(thread))
+        elif kind == UPSAMPLE:
+            upsample_quad(out_texels, level, other, item, pixel_in_block(thread))
         elif lane == 0 or warp_width() > 1:
-            if step[1] == NARROW:
-                narrow_square(out_texels, bloom.levels, scratch, item, lane)
+            if kind == NARROW:
+                narrow_square(out_texels, finest, other, level, scratch, item, lane)
             else:
                 widen_square(out_texels, bloom.levels, scratch, item, lane)
-    finish_item(out_counters, step[0], step[3])
+    finish_step(out_counters, step[0], step[3])

@@ -7,7 +7,7 @@ import pytest
 import reference
 from bloom_harness import KEEP, RUNGS, Blooming, bloom_of, gaussians_of, lamps, noise, request_of, rung, shown
 
-from warp_deferred.passes.bloom import KINDS, BloomPass
+from warp_deferred.passes.bloom import CHAINED, KINDS, BloomPass
 from warp_deferred.views import ViewLayout, ViewSize
 
 SIZES = [(64, 48), (33, 17), (1, 1), (1, 9), (7, 1), (2, 2), (135, 40), (65, 129)]
@@ -109,8 +109,9 @@ def test_m2_a_constant_image_stays(name, fireflies, width, height, device):
         stage.run()
         count = 1
         if name == "mip_chain":
-            # `widen_kernel` keeps the widest level nowhere.
-            count = stage.stage.pyramid.count - any(k.key == "widen_kernel" for k, _, _ in stage.stage.steps)
+            # The chain keeps the widest level nowhere where it widens.
+            pyramid = stage.stage.pyramid
+            count = pyramid.count - (stage.stage.chained and "widen" in dict(pyramid.steps(True)))
         for index in range(count):
             level = stage.level(index=index)
             np.testing.assert_allclose(level, np.broadcast_to(image[0, 0], level.shape), rtol=1e-6)
@@ -263,15 +264,14 @@ def test_a_1080p_frame_takes_six_steps_of_waiting():
     names = ["downsample", "downsample", "narrow", "widen", "upsample", "upsample"]
     assert [name for name, _ in pyramid.steps(True)] == names
     items, steps, count = pyramid.chain()
-    assert count == 6
+    assert count == 6 and len(items) == CHAINED * len(steps) and (np.diff(steps[:, 0]) >= 0).all()
     sizes = np.bincount(steps[:, 0])
-    for k, name in enumerate(names):
-        own = steps[steps[:, 0] == k]
-        assert {KINDS[kind] for kind in own[:, 1]} == {name}
-        # What it waits for, and what is counted; negative in the last step.
-        assert set(own[:, 2]) == {sizes[k - 1] if k else 0}
-        assert set(own[:, 3]) == {sizes[k] if k < 5 else -sizes[k]}
-    assert (np.diff(steps[:, 0]) >= 0).all() and len(items) == len(steps)
+    for k, (name, blocks) in enumerate(pyramid.steps(True)):
+        own = items.reshape(-1, CHAINED, 4)[steps[:, 0] == k].reshape(-1, 4)
+        assert np.array_equal(own[: len(blocks)], blocks) and (own[len(blocks) :] == -1).all()
+        # What it is, the blocks it waits for, and those that are counted: negative in the last step.
+        row = (k, KINDS.index(name), sizes[k - 1] if k else 0, sizes[k] if k < 5 else -sizes[k])
+        assert (steps[steps[:, 0] == k] == row).all()
 
 
 @pytest.mark.gpu

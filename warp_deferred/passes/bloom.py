@@ -24,6 +24,8 @@ __all__ = ["BloomPass", "Pyramid", "bright_level", "level_count", "make_bloom", 
 MAX_LEVELS = 14
 #: Kinds of launches, or of steps of the chain, in the order of its constants.
 KINDS = ("downsample", "narrow", "widen", "upsample")
+#: Items of a block of the chain, as in its kernel file.
+CHAINED = 4
 #: Most texels, of all views, of the level that a single launch mixes all wider ones into: level 3 at 1080p. It makes
 #: as many again of each of those.
 WIDEN_TEXELS = 65536
@@ -167,15 +169,15 @@ class Pyramid:
         return [(name, blocks) for name, blocks in steps if len(blocks)]
 
     def chain(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """All steps in one list: items, what `chain_kernel` knows of each, both (b, 4) int32, and how many steps."""
-        steps = self.steps(True)
-        sizes = [len(blocks) for _, blocks in steps]
-        rows = [
-            (k, KINDS.index(name), sizes[k - 1] if k else 0, sizes[k] if k + 1 < len(steps) else -sizes[k])
-            for k, (name, _) in enumerate(steps)
-        ]
-        items = np.concatenate([np.zeros((0, 4), np.int32), *(blocks for _, blocks in steps)])
-        return items, np.repeat(np.array(rows, np.int32).reshape(-1, 4), np.array(sizes, np.int64), axis=0), len(steps)
+        """All steps in a list: items, what `chain_kernel` knows of each four, both (b, 4) int32, and how many steps."""
+        items, rows, steps, before = [np.zeros((0, 4), np.int32)], [np.zeros((0, 4), np.int32)], self.steps(True), 0
+        for k, (name, blocks) in enumerate(steps):
+            count = -(-len(blocks) // CHAINED)
+            items += [blocks, np.full((count * CHAINED - len(blocks), 4), -1, np.int32)]
+            row = (k, KINDS.index(name), before, count if k + 1 < len(steps) else -count)
+            rows.append(np.tile(np.array(row, np.int32), (count, 1)))
+            before = count
+        return np.concatenate(items), np.concatenate(rows), len(steps)
 
 
 @functools.lru_cache(maxsize=16)
@@ -272,7 +274,7 @@ class BloomPass(Pass):
 
         items, steps, count = self.pyramid.chain()
         self.chain, self.items = bloom_chain, (table_array(items, device), table_array(steps, device), len(items))
-        self.counters = wp.zeros(count + 1, dtype=wp.int32, device=device)
+        self.counters = wp.zeros(32 * (count + 1), dtype=wp.int32, device=device)
         self.scratch = wp.zeros(1 if device.is_cuda else bloom_chain.SHARED, dtype=wp.uint64, device=device)
 
     def _prepare_exact(self, device: wp.Device) -> None:
