@@ -17,6 +17,7 @@ from ..record import Record
 from ..timing import REPEATS, Timing
 from .base import Peer, srgb
 from .cases import PeerCase, peer_cases
+from .mujoco_warp import MuJoCoWarp
 from .newton import SensorCamera, SensorTiledCamera
 from .nvdiffrast import NvDiffRast
 from .opengl import OpenGL
@@ -24,7 +25,7 @@ from .ours import OURS
 
 __all__ = ["DEPTH_TOLERANCE", "PEERS", "agreement", "run"]
 
-PEERS: tuple[Peer, ...] = (SensorTiledCamera(), SensorCamera(), OpenGL(), NvDiffRast())
+PEERS: tuple[Peer, ...] = (SensorTiledCamera(), SensorCamera(), OpenGL(), NvDiffRast(), MuJoCoWarp())
 #: Share of the depth by which two depths of one pixel may differ and still agree.
 DEPTH_TOLERANCE = 1e-3
 #: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
