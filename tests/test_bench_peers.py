@@ -256,3 +256,20 @@ def test_results_come_back_and_make_a_page(tmp_path, monkeypatch):
     }
     page = performance_page.performance_page({"peers": result}, images)
     assert page.startswith("# Performance") and "Pretender" in page and "(images/bench_peers.png)" in page
+
+
+def test_launches_that_cannot_be_captured_are_timed_and_told(monkeypatch):
+    calls = []
+
+    def launches(device, run, *, repeats, captured=True):
+        calls.append(captured)
+        if captured:
+            raise RuntimeError("capture failed\nmore")
+        return Timing(1.0, 1.0, 1.0, repeats)
+
+    monkeypatch.setattr(base, "time_launches", launches)
+    peer = Pretender()
+    assert base.time_warp(peer, CPU, lambda: None, 5).repeats == 5 and calls == [True, False]
+    assert peer.note == "not captured: capture failed"
+    noted = made(note=peer.note)
+    assert "| Newton (not captured: capture failed) |" in peer_tables.peers_table(noted)

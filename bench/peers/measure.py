@@ -140,7 +140,7 @@ def _row(
         "views": case.views, "triangles": scene.triangle_count, "lights": case.lights, "shadowed": case.shadowed,
         "peer": peer.name, "peer_title": peer.title,
     }  # fmt: skip
-    row |= timing.metrics("time")
+    row |= timing.metrics("time") | ({"note": session.note} if session.note else {})
     if depth is not None:
         row["depth.agrees"] = round(agreement(depth, reference), 6)
     return row

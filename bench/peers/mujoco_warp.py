@@ -15,8 +15,8 @@ import warp as wp
 
 from warp_deferred import Camera, Scene
 
-from ..timing import Timing, time_launches
-from .base import Session, geometry_of, light_table
+from ..timing import Timing
+from .base import Session, geometry_of, light_table, time_warp
 from .cases import KINDS, PeerCase
 
 __all__ = ["MuJoCoWarp"]
@@ -120,7 +120,7 @@ class _MuJoCoSession:
 
     def time(self, repeats: int) -> Timing:
         """Time replays of one render."""
-        return time_launches(self.device, self._frame, repeats=repeats)
+        return time_warp(self, self.device, self._frame, repeats)
 
     def _views(self, values: wp.array) -> np.ndarray:
         return values.numpy()[0].reshape(self.case.views, self.case.height, self.case.width)
