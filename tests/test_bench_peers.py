@@ -15,6 +15,7 @@ from bench.peers.newton import SensorCamera, SensorTiledCamera
 from bench.peers.nvdiffrast import NvDiffRast
 from bench.peers.opengl import OpenGL
 from bench.peers.ours import OURS
+from bench.peers.pygfx import PyGfx
 from bench.timing import Timing
 from warp_deferred import Renderer, Settings
 
@@ -120,7 +121,7 @@ def test_what_moved_is_no_input():
 
 def test_every_peer_says_what_it_is():
     names = [peer.name for peer in measure.PEERS]
-    assert names == ["newton", "newton_sensor_camera", "opengl", "nvdiffrast", "mujoco_warp"]
+    assert names == ["newton", "newton_sensor_camera", "opengl", "nvdiffrast", "mujoco_warp", "pygfx"]
     for peer in (*OURS, *measure.PEERS):
         assert all(getattr(peer, word) for word in WORDS) and set(peer.kinds) <= set(cases.KINDS)
     for peer in measure.PEERS:
@@ -129,15 +130,16 @@ def test_every_peer_says_what_it_is():
 
 def test_peers_that_are_missing_are_named(monkeypatch):
     found = importlib.util.find_spec
-    gone = ("newton", "moderngl", "glcontext", "nvdiffrast", "torch", "mujoco", "mujoco_warp")
+    gone = ("newton", "moderngl", "glcontext", "nvdiffrast", "torch", "mujoco", "mujoco_warp", "pygfx")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *a: None if name in gone else found(name, *a))
     monkeypatch.setattr(opengl, "_context", opengl._context.__wrapped__)
-    result = run(monkeypatch, SensorTiledCamera(), OpenGL(), NvDiffRast(), MuJoCoWarp())
+    result = run(monkeypatch, SensorTiledCamera(), OpenGL(), NvDiffRast(), MuJoCoWarp(), PyGfx())
     assert [text.split(":")[0] for text in result["skipped"]] == [
         "Newton SensorTiledCamera",
         "OpenGL (moderngl, EGL)",
         "nvdiffrast (CUDA)",
         "MuJoCo Warp",
+        "pygfx (WebGPU)",
     ]
     assert all("no module" in text or "no CPU path" in text for text in result["skipped"])
     assert [row["peer"] for row in result["rows"]] == ["ours", "ours_layers"]

@@ -22,10 +22,11 @@ from .newton import SensorCamera, SensorTiledCamera
 from .nvdiffrast import NvDiffRast
 from .opengl import OpenGL
 from .ours import OURS
+from .pygfx import PyGfx
 
 __all__ = ["DEPTH_TOLERANCE", "PEERS", "agreement", "run"]
 
-PEERS: tuple[Peer, ...] = (SensorTiledCamera(), SensorCamera(), OpenGL(), NvDiffRast(), MuJoCoWarp())
+PEERS: tuple[Peer, ...] = (SensorTiledCamera(), SensorCamera(), OpenGL(), NvDiffRast(), MuJoCoWarp(), PyGfx())
 #: Share of the depth by which two depths of one pixel may differ and still agree.
 DEPTH_TOLERANCE = 1e-3
 #: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.

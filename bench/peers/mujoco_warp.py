@@ -60,7 +60,7 @@ def _model(case: PeerCase, scene: Scene, cameras: list[Camera]) -> Any:
     geometry, spec = geometry_of(scene), mujoco.MjSpec()
     spec.visual.headlight.active = 0
     mesh = spec.add_mesh(name="terrain", uservert=geometry.positions.ravel(), userface=geometry.triangles.ravel())
-    mesh.usernormal = geometry.normals.ravel()
+    mesh.usernormal, mesh.userfacenormal = geometry.normals.ravel(), geometry.triangles.ravel()
     # A height field encloses no volume.
     mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     shape = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": "terrain", "contype": 0, "conaffinity": 0}
