@@ -92,10 +92,18 @@ def test_lights_of_peers_are_the_scenes():
     np.testing.assert_array_equal(table.position[:3], scene.lights.point.position.astype(np.float32))
     np.testing.assert_allclose(table.cosines[3:], np.tile(cases.COSINES, (4, 1)), atol=1e-6)
     assert (table.cosines[:3].max(axis=1) < -1.0).all()
-    # Four cells of the ground, each under the middle of its own spot and inside its cone.
-    assert len({tuple(p) for p in np.sign(table.position[3:, [0, 2]]).tolist()}) == 4
-    reach = table.position[3:, 1] * np.sqrt(1.0 / cases.COSINES[1] ** 2 - 1.0)
-    assert (reach >= cases.HALF_SIDE / 2.0).all() and (table.range[3:] > table.position[3:, 1] / cases.COSINES[1]).all()
+    # Where the beams meet the ground: the middles of four cells, whose corners are inside the cones and the ranges.
+    foot = table.position[3:] - table.direction[3:] * (table.position[3:, 1:2] / table.direction[3:, 1:2])
+    half = cases.HALF_SIDE / 2.0
+    assert {tuple(p) for p in np.round(foot[:, [0, 2]], 4).tolist()} == {
+        (x, z) for x in (-half, half) for z in (-half, half)
+    }
+    corners = foot[:, None] + np.array([[x, 0.0, z] for x in (-half, half) for z in (-half, half)])
+    rays = corners - table.position[3:, None]
+    distance = np.linalg.norm(rays, axis=-1)
+    axis = table.direction[3:] / np.linalg.norm(table.direction[3:], axis=-1, keepdims=True)
+    assert (np.einsum("nkj,nj->nk", rays, axis) / distance > cases.COSINES[1]).all()
+    assert (distance < table.range[3:, None]).all()
 
 
 def test_cases_cover_what_was_asked_for():
