@@ -75,7 +75,7 @@ def _descriptions(record: Record) -> list[str]:
         lines = [f"**{peer['title']}**{version}", ""]
         lines.append(f"- computes {peer['computes']}")
         if peer["leaves_out"]:
-            lines.append(f"- does not: {peer['leaves_out']}")
+            lines.append(f"- leaves out {peer['leaves_out']}")
         lines.append(f"- timed by {peer['method']}")
         if peer["wins"]:
             won = [

@@ -1,6 +1,9 @@
 """The bench of peers: the same inputs for all, who is missing is named, ratios and agreement are what they say."""
 
+import contextlib
 import importlib.util
+import sys
+import types
 
 import bench_package  # noqa: F401
 import numpy as np
@@ -9,7 +12,7 @@ import warp as wp
 
 from bench import layout, peer_tables, performance_page, record, targets
 from bench.__main__ import main
-from bench.peers import base, cases, measure, opengl
+from bench.peers import base, cases, measure, nvdiffrast, opengl
 from bench.peers.mujoco_warp import MuJoCoWarp
 from bench.peers.newton import SensorCamera, SensorTiledCamera
 from bench.peers.nvdiffrast import NvDiffRast
@@ -179,7 +182,60 @@ def test_agreement_takes_the_tolerance_both_ways():
         measure.agreement(depth[..., :5], reference)
 
 
+def test_a_case_that_is_none_is_refused(capsys):
+    assert main(["peers", "--device", "cpu", "--quick", "--only", "moon"]) == 2
+    assert "--only: expected a part of one of gbuffer_quick" in capsys.readouterr().err
+
+
 # ---- peers that are installed
+
+
+def test_nvdiffrast_depth_is_made_of_z_over_w(monkeypatch):
+    """Its rasterizer stood in for: it hands back our own depth as it would, in clip space with row 0 at the bottom."""
+    case = cases.peer_cases(quick=True)[1]
+    scene = case.build()
+    cameras = case.cameras(scene)
+    reference = measure._reference(case, scene, cameras, CPU)
+    handed = {}
+
+    class Tensor:
+        def __init__(self, array):
+            self.array = array
+
+        def __getitem__(self, key):
+            return Tensor(self.array[key])
+
+        def cpu(self):
+            return self
+
+        def numpy(self):
+            return self.array
+
+    def rasterize(context, clip, triangles, size, grad_db):
+        handed.update(clip=clip.array, size=size)
+        surface = np.isfinite(reference)
+        end = np.array([[0.0, 0.0, -1.0, 1.0]]) * np.where(surface, reference, 1.0)[..., None]
+        end[..., 3] = 1.0
+        projected = end @ base.perspective(cameras[0], *size[::-1], nvdiffrast.FAR).T
+        out = np.zeros((*reference.shape, 4), np.float32)
+        out[..., 2] = np.where(surface, projected[..., 2] / projected[..., 3], 0.0)
+        out[..., 3] = surface
+        return Tensor(out[:, ::-1]), None
+
+    fake = types.SimpleNamespace(
+        device=lambda *_: "cuda", as_tensor=lambda array, device: Tensor(array), no_grad=contextlib.nullcontext
+    )
+    rast = types.ModuleType("nvdiffrast.torch")
+    rast.RasterizeCudaContext, rast.rasterize = lambda device: None, rasterize
+    rast.interpolate = lambda *_: (None, None)
+    parent = types.ModuleType("nvdiffrast")
+    parent.torch = rast
+    for name, module in (("torch", fake), ("nvdiffrast", parent), ("nvdiffrast.torch", rast)):
+        monkeypatch.setitem(sys.modules, name, module)
+    device = types.SimpleNamespace(ordinal=0)
+    depth = NvDiffRast().open(case, scene, cameras, device).depth()
+    assert measure.agreement(depth, reference) == 1.0
+    assert handed["clip"].shape == (3, len(scene.instances[0].mesh.positions), 4) and handed["size"] == (32, 32)
 
 
 @pytest.mark.parametrize("peer", [SensorTiledCamera(), SensorCamera(), OpenGL(), MuJoCoWarp()], ids=lambda p: p.name)

@@ -12,10 +12,11 @@ import math
 import numpy as np
 
 from warp_deferred import Camera, Scene, SpotLight, load
+from warp_deferred.checks import input_error
 
 from ..cases import reachable_mean, terrain_scene
 
-__all__ = ["KINDS", "PeerCase", "peer_cases"]
+__all__ = ["KINDS", "PeerCase", "narrowed", "peer_cases"]
 
 #: Kinds of cases, in the order of the tables, and what a frame of each is.
 KINDS = {
@@ -128,3 +129,16 @@ def peer_cases(*, quick: bool) -> tuple[PeerCase, ...]:
             PeerCase(f"frame_{name}", "frame", f"{text}, {what}, {w}x{h}", w, h, n, lights=lights, shadowed=casting)
         )
     return tuple(dataclasses.replace(case, map_size=128) if quick else case for case in cases)
+
+
+def narrowed(only: str, *, quick: bool) -> list[PeerCase]:
+    """List the cases with `only` in their names; all of them if it is empty.
+
+    Raises:
+        InputError: If there is none.
+    """
+    cases = peer_cases(quick=quick)
+    chosen = [case for case in cases if only in case.name]
+    if not chosen:
+        raise input_error("--only", f"a part of one of {', '.join(case.name for case in cases)}", only)
+    return chosen

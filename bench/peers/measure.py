@@ -16,7 +16,7 @@ from ..effects import reason
 from ..record import Record
 from ..timing import REPEATS, Timing
 from .base import Peer, srgb
-from .cases import PeerCase, peer_cases
+from .cases import PeerCase, narrowed
 from .mujoco_warp import MuJoCoWarp
 from .newton import SensorCamera, SensorTiledCamera
 from .nvdiffrast import NvDiffRast
@@ -77,12 +77,11 @@ def run(
             present.append(peer)
     result["peers"] = [_told(peer) for peer in (*OURS, *present)]
     repeats = QUICK_REPEATS if quick else REPEATS
-    for case in peer_cases(quick=quick):
-        if only in case.name:
-            note(case.title)
-            result["rows"] += _case(case, present, device, settings, repeats, Path(images) if images else None, skip)
-            if keep:
-                keep(result)
+    for case in narrowed(only, quick=quick):
+        note(case.title)
+        result["rows"] += _case(case, present, device, settings, repeats, Path(images) if images else None, skip)
+        if keep:
+            keep(result)
     return result
 
 

@@ -34,7 +34,8 @@ class MuJoCoWarp:
     )
     leaves_out = (
         "range of lights, so that no light can be left out but where its cone ends; normals and albedo as images; "
-        "ambient light here, colour management and tone curve; a shadow is hard"
+        "ambient light here, colour management and tone curve; a shadow is hard, and a normal more than 37 "
+        "degrees off its face gives way to the face's"
     )
     method = "device time of its own launches, captured into a CUDA graph and replayed"
     wins = "As Newton's cameras, it can win where pixels are few and triangles many."
