@@ -250,6 +250,9 @@ def peers(
     preview: Annotated[str, typer.Option("--preview", metavar="DIR", help="Write a picture of each row here.")] = "",
 ) -> None:
     """Newton, OpenGL and nvdiffrast beside this renderer, on the same scenes in one run; who is missing is named."""
+    from .peers.cases import narrowed
+
+    narrowed(only, quick=quick)  # before minutes of measuring, not after
     _bench("peers", device, json, plot, quick, set_, only=only, images=preview, keeps=True)
 
 

@@ -52,9 +52,10 @@ def peers_table(record: Record) -> str:
             case = row["title"] if row["title"] != last else ""
             time = milliseconds(row["time.ms"])
             own = row["peer"] == "ours"
+            name = row["peer_title"] + (f" ({row['note']})" if "note" in row else "")
             lines.append([
-                case, row["peer_title"], f"**{time}**" if own else time, spread(row, "time"),
-                "" if own else _ratio(row), _reached(record, row), agrees,
+                case, name, f"**{time}**" if own else time, spread(row, "time"), "" if own else _ratio(row),
+                _reached(record, row), agrees,
             ])  # fmt: skip
             last = row["title"]
         parts.append(f"{text[0].upper()}{text[1:]}.\n\n{markdown(columns, lines)}")
@@ -74,7 +75,7 @@ def _descriptions(record: Record) -> list[str]:
         lines = [f"**{peer['title']}**{version}", ""]
         lines.append(f"- computes {peer['computes']}")
         if peer["leaves_out"]:
-            lines.append(f"- does not: {peer['leaves_out']}")
+            lines.append(f"- leaves out {peer['leaves_out']}")
         lines.append(f"- timed by {peer['method']}")
         if peer["wins"]:
             won = [

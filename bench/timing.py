@@ -149,19 +149,25 @@ def time_program(program: Program, sections: Sequence[str] | None = None, *, rep
     return Timing.of(_device_times(program.device, lambda: wp.capture_launch(graph), repeats))
 
 
-def time_launches(device: wp.Device, run: Callable[[], Any], *, repeats: int = REPEATS) -> Timing:
+def time_launches(
+    device: wp.Device, run: Callable[[], Any], *, repeats: int = REPEATS, captured: bool = True
+) -> Timing:
     """Time launches that are not a program's: as one graph on CUDA, wall-clock time on the CPU [ms].
 
     Args:
         device: Device of all launches.
         run: Issues them; what it allocates on its first call is allocated before it is captured.
         repeats: Measurements.
+        captured: Whether to capture them on CUDA; else they are issued anew each time, and the device waits for the
+            host where that is slower.
     """
     check_count("time_launches.repeats", repeats, 1, 100_000)
     if not device.is_cuda:
         return Timing.of(_host_times(run, repeats))
     run()  # modules are loaded by a first launch, which a capture does not allow
     wp.synchronize_device(device)
+    if not captured:
+        return Timing.of(_device_times(device, run, repeats))
     graph = _capture(device, run)
     return Timing.of(_device_times(device, lambda: wp.capture_launch(graph), repeats))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,16 +16,19 @@ import warp as wp
 
 from warp_deferred import Camera, Scene
 
-from ..timing import Timing
+from ..timing import Timing, time_launches
 from .cases import PeerCase
 
-__all__ = ["Geometry", "Peer", "Session", "geometry_of", "light_table", "srgb", "view_matrix"]
+__all__ = [
+    "Geometry", "LightTable", "Peer", "Session", "geometry_of", "light_table", "perspective", "srgb", "time_warp",
+    "view_matrix",
+]  # fmt: skip
 
 
 class Session(Protocol):
     """A case opened by a peer: buffers are there, kernels are compiled."""
 
-    #: Bytes a pixel written, in words, or what else the row must say; empty where there is nothing.
+    #: What the row must say of how it was timed; empty where nothing differs from the peer's `method`.
     note: str
 
     def time(self, repeats: int) -> Timing:
@@ -159,6 +163,22 @@ def perspective(camera: Camera, width: int, height: int, far: float) -> np.ndarr
     matrix[2, 2:] = -(far + near) / (far - near), -2.0 * far * near / (far - near)
     matrix[3, 2] = -1.0
     return matrix
+
+
+def time_warp(session: Session, device: wp.Device, run: Callable[[], Any], repeats: int) -> Timing:
+    """Time a session's launches of Warp kernels as a captured graph; as they are issued where they cannot be captured.
+
+    Args:
+        session: Its `note` says so then.
+        device: Device of all launches.
+        run: Issues them.
+        repeats: Measurements.
+    """
+    try:
+        return time_launches(device, run, repeats=repeats)
+    except RuntimeError as error:
+        session.note = f"not captured: {str(error).splitlines()[0]}"
+        return time_launches(device, run, repeats=repeats, captured=False)
 
 
 def srgb(linear: Any) -> np.ndarray:

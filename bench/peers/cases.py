@@ -12,10 +12,11 @@ import math
 import numpy as np
 
 from warp_deferred import Camera, Scene, SpotLight, load
+from warp_deferred.checks import input_error
 
 from ..cases import reachable_mean, terrain_scene
 
-__all__ = ["KINDS", "PeerCase", "peer_cases"]
+__all__ = ["KINDS", "PeerCase", "narrowed", "peer_cases"]
 
 #: Kinds of cases, in the order of the tables, and what a frame of each is.
 KINDS = {
@@ -26,6 +27,8 @@ KINDS = {
 }
 #: Cosines of a spot's cone: full light within the first, none beyond the second.
 COSINES = (0.95, 0.85)
+#: Direction the spots shine in: from aside, so that hills throw shadows.
+TILT = (0.5, -1.0, -0.35)
 #: Half of the ground's side that spots are spread over [m].
 HALF_SIDE = 6.0
 
@@ -79,7 +82,7 @@ class PeerCase:
 
 
 def add_spots(scene: Scene, count: int) -> None:
-    """Hang spot lights over the middle of the terrain in a square grid, each over a cell its cone covers."""
+    """Turn spot lights to the middle of the terrain, each to a cell of a square grid, which its cone covers."""
     across = math.ceil(math.sqrt(count))
     spacing = 2.0 * HALF_SIDE / max(across, 1)
     above = 0.6 * math.sqrt(2.0) * spacing * COSINES[1] / math.sqrt(1.0 - COSINES[1] ** 2)
@@ -88,10 +91,10 @@ def add_spots(scene: Scene, count: int) -> None:
         x, z = (-HALF_SIDE + (place + 0.5) * spacing for place in (column, row))
         scene.lights.add(
             SpotLight(
-                position=(x, above, z),
-                direction=(0.15, -1.0, -0.1),
-                intensity=2.5 * above**2,
-                range=2.0 * above,
+                position=(x - TILT[0] * above, above, z - TILT[2] * above),
+                direction=TILT,
+                intensity=4.0 * above**2,
+                range=3.0 * above,
                 inner_angle=math.acos(COSINES[0]),
                 outer_angle=math.acos(COSINES[1]),
                 casts_shadow=True,
@@ -126,3 +129,16 @@ def peer_cases(*, quick: bool) -> tuple[PeerCase, ...]:
             PeerCase(f"frame_{name}", "frame", f"{text}, {what}, {w}x{h}", w, h, n, lights=lights, shadowed=casting)
         )
     return tuple(dataclasses.replace(case, map_size=128) if quick else case for case in cases)
+
+
+def narrowed(only: str, *, quick: bool) -> list[PeerCase]:
+    """List the cases with `only` in their names; all of them if it is empty.
+
+    Raises:
+        InputError: If there is none.
+    """
+    cases = peer_cases(quick=quick)
+    chosen = [case for case in cases if only in case.name]
+    if not chosen:
+        raise input_error("--only", f"a part of one of {', '.join(case.name for case in cases)}", only)
+    return chosen

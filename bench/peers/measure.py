@@ -16,15 +16,17 @@ from ..effects import reason
 from ..record import Record
 from ..timing import REPEATS, Timing
 from .base import Peer, srgb
-from .cases import PeerCase, peer_cases
+from .cases import PeerCase, narrowed
+from .mujoco_warp import MuJoCoWarp
 from .newton import SensorCamera, SensorTiledCamera
 from .nvdiffrast import NvDiffRast
 from .opengl import OpenGL
 from .ours import OURS
+from .pygfx import PyGfx
 
 __all__ = ["DEPTH_TOLERANCE", "PEERS", "agreement", "run"]
 
-PEERS: tuple[Peer, ...] = (SensorTiledCamera(), SensorCamera(), OpenGL(), NvDiffRast())
+PEERS: tuple[Peer, ...] = (SensorTiledCamera(), SensorCamera(), OpenGL(), NvDiffRast(), MuJoCoWarp(), PyGfx())
 #: Share of the depth by which two depths of one pixel may differ and still agree.
 DEPTH_TOLERANCE = 1e-3
 #: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
@@ -75,12 +77,11 @@ def run(
             present.append(peer)
     result["peers"] = [_told(peer) for peer in (*OURS, *present)]
     repeats = QUICK_REPEATS if quick else REPEATS
-    for case in peer_cases(quick=quick):
-        if only in case.name:
-            note(case.title)
-            result["rows"] += _case(case, present, device, settings, repeats, Path(images) if images else None, skip)
-            if keep:
-                keep(result)
+    for case in narrowed(only, quick=quick):
+        note(case.title)
+        result["rows"] += _case(case, present, device, settings, repeats, Path(images) if images else None, skip)
+        if keep:
+            keep(result)
     return result
 
 
@@ -139,7 +140,7 @@ def _row(
         "views": case.views, "triangles": scene.triangle_count, "lights": case.lights, "shadowed": case.shadowed,
         "peer": peer.name, "peer_title": peer.title,
     }  # fmt: skip
-    row |= timing.metrics("time")
+    row |= timing.metrics("time") | ({"note": session.note} if session.note else {})
     if depth is not None:
         row["depth.agrees"] = round(agreement(depth, reference), 6)
     return row

@@ -16,8 +16,8 @@ import warp as wp
 
 from warp_deferred import Camera, Scene
 
-from ..timing import Timing, time_launches
-from .base import Session, geometry_of, light_table, srgb
+from ..timing import Timing
+from .base import Session, geometry_of, light_table, srgb, time_warp
 from .cases import KINDS, PeerCase
 
 __all__ = ["SensorCamera", "SensorTiledCamera"]
@@ -151,7 +151,7 @@ class _NewtonSession:
 
     def time(self, repeats: int) -> Timing:
         """Time replays of one update of the sensor."""
-        return time_launches(self.device, lambda: self._update(self.images), repeats=repeats)
+        return time_warp(self, self.device, lambda: self._update(self.images), repeats)
 
     def depth(self) -> np.ndarray | None:
         """Depth along the camera's axis; by the G-buffer's kernel, which is compiled already, in a lit case, too."""
