@@ -202,8 +202,8 @@ def _mutations(stored: dict) -> list[str]:
     caught = sum(outcome.get(row) == "caught" for row in table)
     lines = ["", "## Mutations", ""]
     lines.append(
-        "For each case a change of one line that its test must notice: `python -m tests.mutations` makes each in a copy "
-        f"of the sources and runs the test there. In the last recorded runs {caught} of {len(table)} were noticed."
+        "For each case a change of one line that its test must notice: `python -m tests.mutations` makes each in a "
+        f"copy of the sources and runs the test there. In the last recorded runs {caught} of {len(table)} were noticed."
     )
     lines += ["", "| id | file | line | becomes | test | noticed |", "|---|---|---|---|---|---|"]
     for row, m in table.items():

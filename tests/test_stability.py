@@ -1,9 +1,13 @@
-"""The page of hard cases: every row has a test, and the page says what the tests and their results say."""
+"""The page of hard cases and their mutations: every row has both, and the page says what tests and results say."""
 
 from __future__ import annotations
 
+import dataclasses
+
+import pytest
 import stability_page
-from stability_page import Proof, main, proofs, row_ids, rows
+from mutations import Mutation, mutations, try_mutation
+from stability_page import ROOT, Proof, main, proofs, row_ids, rows
 
 
 def test_every_hard_case_has_a_test_or_names_what_is_missing():
@@ -51,3 +55,34 @@ def test_results_are_taken_in_and_failures_show(tmp_path, monkeypatch):
     text = (tmp_path / "PAGE").read_text()
     assert "| 1 passed, **1 failed** | 2 passed, **1 failed** |" in text
     assert next(line for line in text.splitlines() if line.startswith("| E9 |")).count("| - | 1 passed |") == 1
+
+
+def test_every_row_of_the_table_has_a_mutation_that_still_applies():
+    table = {mutation.id: mutation for mutation in mutations()}
+    # Properties of whole frames are proved by many cases each; every single case has a line that breaks it.
+    assert list(table) == [row.id for row in rows() if not row.missing and row.id[0] != "P"]
+    known = {f"tests/{proof.key}": proof.ids for proof in proofs()}
+    for mutation in table.values():
+        text = (ROOT / mutation.file).read_text()
+        changed = mutation.applied(text)
+        assert changed.count("\n") == text.count("\n") and changed != text
+        assert mutation.id in known[mutation.test.partition("[")[0]]
+
+
+def test_a_mutation_that_does_not_apply_is_named():
+    mutation = Mutation("R3", "kernels/a.py", "a > b", "a < b", "tests/test_a.py::test_r3_a")
+    assert mutation.applied("if a > b:\n    pass\n") == "if a < b:\n    pass\n"
+    for text in ("if a >= b:", "a > b or a > b"):
+        with pytest.raises(ValueError, match=r"mutation R3: expected 'a > b' once in kernels/a\.py"):
+            mutation.applied(text)
+    later = dataclasses.replace(mutation, after="def g")
+    assert later.applied("def f: a > b\ndef g: a > b") == "def f: a > b\ndef g: a < b"
+
+
+def test_a_mutation_counts_as_caught_only_where_its_test_ran_and_failed(monkeypatch):
+    mutation = Mutation("R3", "kernels/projection.py", "& (PIXEL_BLOCK - 1)", "& PIXEL_BLOCK", "tests/a.py::b")
+    for code, verdict in ((0, "not noticed"), (1, "caught"), (4, "pytest ended with 4"), (None, "out of time")):
+        monkeypatch.setattr(
+            "mutations.run_tests", lambda folder, names, timeout, code=code: (code, "E   assert 1 == 2")
+        )
+        assert try_mutation(mutation, 1.0).verdict == verdict
