@@ -30,6 +30,11 @@ def pytest_configure(config: pytest.Config) -> None:
     wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.CHECKED
     if config.getoption("--debug-kernels"):
         wp.config.mode = "debug"
+    # Every frame of every test is looked at; Settings(check_finite=False) is for tests that count launches or memory.
+    from warp_deferred.settings import Settings
+
+    Settings.model_fields["check_finite"].default = True
+    Settings.model_rebuild(force=True)
 
 
 def _cuda(config: pytest.Config) -> None:
