@@ -6,9 +6,15 @@ import platform
 import random
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 import warp as wp
+
+# Profiles of the property tests: --hypothesis-profile=stress draws thousands anew.
+hypothesis.settings.register_profile("ci", max_examples=20, derandomize=True, deadline=None, print_blob=True)
+hypothesis.settings.register_profile("stress", max_examples=1000, deadline=None, print_blob=True)
+hypothesis.settings.load_profile("ci")
 
 ASSETS = Path(__file__).resolve().parents[2] / "shared" / "assets"
 
