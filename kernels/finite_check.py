@@ -1,7 +1,7 @@
 """Finite check: the first number of a channel that is not finite, for `Settings(check_finite=True)`. A debugging aid.
 
 A channel is seen as rows of float32 or half numbers. `look` finds the smallest index of a bad one, `keep` its value
-before a later pass or sample can write over it. One thread a row, block size 256; the minimum does not depend on order.
+before a later pass or sample can write over it. One thread a row, block size 256; the first does not depend on order.
 Reads every byte of the channel once.
 """
 
@@ -18,8 +18,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 BLOCK_DIM = 256
 #: Numbers of a row, at most: an index is 4 row + column.
 COLUMNS = wp.constant(4)
-#: Index where all numbers are finite.
-NONE = wp.constant(wp.int64(2**62))
+#: What indices are subtracted from, so that the first one is the largest key, and 0 says that all is finite.
+LAST = wp.constant(wp.int64(2**62))
 #: (half,): what CI compiles.
 VARIANTS = [(False,), (True,)]
 
@@ -48,7 +48,7 @@ def make_finite_check_kernels(half: bool):
         for column in range(numbers.shape[1]):
             value = wp.float32(numbers[row, column])
             if not wp.isfinite(value) and not (infinite != 0 and value > 0.0):
-                wp.atomic_min(out_first, slot, wp.int64(row) * wp.int64(COLUMNS) + wp.int64(column))
+                wp.atomic_max(out_first, slot, LAST - wp.int64(row) * wp.int64(COLUMNS) - wp.int64(column))
                 return
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
@@ -62,8 +62,8 @@ def make_finite_check_kernels(half: bool):
         out_values: wp.array[wp.float32],
     ):
         """Keep the value that was found; one thread. What is not finite in `out_values` says that it is known."""
-        index = first[slot]
-        if wp.static(Number is not None) and index < NONE and wp.isfinite(out_values[slot]):
+        index = LAST - first[slot]
+        if wp.static(Number is not None) and index < LAST and wp.isfinite(out_values[slot]):
             row, column = wp.int32(index / wp.int64(COLUMNS)), wp.int32(index % wp.int64(COLUMNS))
             out_values[slot] = wp.float32(numbers[row, column])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import random
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -36,11 +37,23 @@ def pytest_configure(config: pytest.Config) -> None:
     wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.CHECKED
     if config.getoption("--debug-kernels"):
         wp.config.mode = "debug"
-    # Every frame of every test is looked at; Settings(check_finite=False) is for tests that count launches or memory.
+    _look_at_frames(True)
+
+
+def _look_at_frames(on: bool) -> None:
+    """Set whether settings made from now on have every pass's numbers looked at, where they do not say."""
     from warp_deferred.settings import Settings
 
-    Settings.model_fields["check_finite"].default = True
+    Settings.model_fields["check_finite"].default = on
     Settings.model_rebuild(force=True)
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """No look at the numbers of frames: for tests that write bad ones on purpose, or count launches."""
+    _look_at_frames(False)
+    yield
+    _look_at_frames(True)
 
 
 def _cuda(config: pytest.Config) -> None:

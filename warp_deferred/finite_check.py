@@ -1,9 +1,10 @@
 """The pixel police of `Settings(check_finite=True)`: which pass wrote the first number that is not finite, and where.
 
-Behind every pass the plan looks at the channels the pass writes: floats, vectors of floats and half4 images with one
-value a pixel; ids, bits and structs cannot be looked at. With `Renderer(share_memory=False)`, where what a pass leaves
-out holds 0, it looks at buffers of any other shape and at those that are filled in places, too. Background depth is
-+inf by definition and so are a few numbers made of it. Imported only where the setting is on.
+Behind every pass the plan looks at the channels it writes: floats, vectors of floats and half4 images; ids, bits and
+structs cannot be looked at. Outputs, the HDR image, sums of samples and the channels of a user's own passes are written
+whole. Of the others some are filled in places, and hold what shared the memory before elsewhere: they are looked at
+with `Renderer(share_memory=False)`, where they hold 0 there. Background depth is +inf by definition and so are a few
+numbers made of it. Imported only where the setting is on.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 import warp as wp
 
+from .channels import OUTPUTS
 from .errors import Error
 from .kernels import finite_check as kernels
 from .passes.base import Buffer, Pass, Request
@@ -25,10 +27,8 @@ __all__ = ["INFINITE", "FiniteCheck"]
 INFINITE = frozenset(
     {"depth", "mask_bounds", "mask_coarse_bounds", "visibility_pyramid", "lens_nearest", "shadow_rows"}
 )
-#: Channels with one value a pixel that are written where there is a surface, or where it emits, and nowhere else.
-PARTIAL = frozenset({"emission", "gbuffer_full_normal", "gbuffer_full_albedo", "gbuffer_full_extra"})
-#: Channels of 64-bit words that are no half4 images.
-KEYS = frozenset({"keys", "slice_keys"})
+#: Channels of bounds, in which both infinities are values, and of 64-bit words that are no half4 images.
+NO_NUMBERS = frozenset({"shadow_bounds", "keys", "slice_keys"})
 
 
 class FiniteCheck:
@@ -43,7 +43,7 @@ class FiniteCheck:
         self._resources, self._whole = resources, not request.share_memory
         self._names: list[tuple[str, str]] = []
         # A plan writes some dozens of channels.
-        self._first = wp.full(1024, int(kernels.NONE), dtype=wp.int64, device=resources.device)
+        self._first = wp.zeros(1024, dtype=wp.int64, device=resources.device)
         self._values = wp.zeros(1024, dtype=wp.float32, device=resources.device)
         # Reading back allocates nothing, so that frames that must not allocate can be looked at as well.
         self._host = wp.zeros(1024, dtype=wp.int64, device="cpu", pinned=resources.device.is_cuda)
@@ -68,11 +68,11 @@ class FiniteCheck:
         array = self._resources.channels.get(name)
         if array is None or buffer.dtype is None or buffer.count == 0:
             return None
-        whole = buffer.count == self._resources.layout.pixels and name not in PARTIAL
-        if not (whole or self._whole):
+        ours = type(stage).__module__.startswith("warp_deferred.")
+        whole = name in OUTPUTS or name == stage.target or name.startswith("sum_") or not ours
+        if name in NO_NUMBERS or not (whole or self._whole):
             return None
-        own = type(stage).__module__.startswith("warp_deferred.")
-        if buffer.dtype is wp.uint64 and own and name not in KEYS:
+        if buffer.dtype is wp.uint64 and ours:
             kind, columns = wp.float16, 4
         elif buffer.dtype is wp.float32:
             kind, columns = wp.float32, 1
@@ -86,7 +86,7 @@ class FiniteCheck:
 
     def begin(self) -> None:
         """Forget the frame before."""
-        self._first.fill_(int(kernels.NONE))
+        self._first.zero_()
         self._values.zero_()
 
     def end(self) -> None:
@@ -99,8 +99,8 @@ class FiniteCheck:
         wp.synchronize_device(self._resources.device)
         first = self._host.numpy()
         for slot, (stage, name) in enumerate(self._names):
-            if first[slot] < int(kernels.NONE):
-                row, column = divmod(int(first[slot]), int(kernels.COLUMNS))
+            if first[slot]:
+                row, column = divmod(int(kernels.LAST) - int(first[slot]), int(kernels.COLUMNS))
                 value, place = float(self._values.numpy()[slot]), self._place(name, row)
                 raise Error(
                     f"{stage}.{name}: expected finite numbers, got {value} in component {column} of {place}; "
