@@ -7,10 +7,10 @@ ARGS ?=
 SOURCES := warp_deferred kernels scenes tests $(wildcard bench)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench clean install
+.PHONY: help demo test lint bench stress fuzz mutations clean install
 
 help:  ## say what there is
-	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/^([a-z]+):[^#]*## */  make \1\t/' | expand -t 16
+	@grep -E '^[a-z]+:.*##' Makefile | sed -E 's/^([a-z]+):[^#]*## */  make \1\t/' | expand -t 18
 
 $(VENV)/bin/python:
 	@command -v $(PYTHON) >/dev/null || { echo "error: no '$(PYTHON)' found; install Python 3.11 or newer, or: make PYTHON=/path/to/python" >&2; exit 2; }
@@ -38,6 +38,15 @@ test: $(VENV)/installed-dev  ## run the tests
 lint: $(VENV)/installed-dev  ## check style and format
 	$(RUN) -m ruff check $(SOURCES)
 	$(RUN) -m ruff format --check $(SOURCES)
+
+stress: $(VENV)/installed-dev  ## run the property tests with thousands of draws
+	$(RUN) -m pytest --hypothesis-profile=stress tests/test_properties.py tests/kernels/test_encoding.py $(ARGS)
+
+fuzz: $(VENV)/installed-dev  ## damage model files and load them under caps: make fuzz ARGS="--seconds 600"
+	$(RUN) -m tests.fuzz $(ARGS)
+
+mutations: $(VENV)/installed-dev  ## break a line for each hard case, and see that its test notices
+	$(RUN) -m tests.mutations $(ARGS)
 
 bench: $(VENV)/installed-dev  ## list the benches, or run one: make bench ARGS="frame --device cuda:0"
 	$(RUN) -m bench $(or $(ARGS),--help)

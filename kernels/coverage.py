@@ -81,12 +81,12 @@ def fragment_depth(e0: wp.float32, e1: wp.float32, e2: wp.float32, inverse: wp.f
 
 @wp.func
 def accept_depth(view: View, z: wp.float32):
-    """Depth clamped to [0, 1], or -1 for an orthographic fragment outside near and far."""
+    """Depth clamped to [0, 1], or -1 for NaN and for an orthographic fragment outside near and far: not drawn."""
     if view.projection == ORTHOGRAPHIC and view.depth_clamp == 0 and (z < 0.0 or z > 1.0):
         return wp.float32(-1.0)
-    if not (z > 0.0):
-        return wp.float32(0.0)
-    return wp.min(z, 1.0)
+    if z > 0.0:
+        return wp.min(z, 1.0)
+    return wp.where(z <= 0.0, 0.0, -1.0)
 
 
 @functools.cache

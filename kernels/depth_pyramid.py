@@ -54,7 +54,9 @@ def fill_texel(
     half = (1 << level) >> 1
     inside = x + half < view.width and y + half < view.height
     index = pixel_index(view, x + half, y + half)
-    out_pyramid[pyramid_index(view, level, x, y)] = load_either(depth, depth, False, index, inside)
+    value = load_either(depth, depth, False, index, inside)
+    # What is no depth counts as background.
+    out_pyramid[pyramid_index(view, level, x, y)] = wp.where(wp.isfinite(value), value, wp.inf)
 
 
 @wp.kernel(grid_stride=False)

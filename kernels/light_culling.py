@@ -158,8 +158,8 @@ def tile_bounds_kernel(
         x, y = tile[1] + (k & (side - 1)), tile[2] + (k >> tile_shift)
         if x < view.width and y < view.height:
             d = depth[pixel_index(view, x, y)]
-            near = wp.min(near, d)
             if wp.isfinite(d):
+                near = wp.min(near, d)
                 far = wp.max(far, d)
         k += wp.block_dim()
     nearest = wp.tile_min(wp.tile(near))

@@ -75,6 +75,14 @@ def end_sample_kernel(
     out_counter[0] = wp.min(out_counter[0] + 1, samples.shape[0] - 1)
 
 
+@wp.func
+def bounded(value: wp.float32):
+    """The number itself, 0 for NaN, the nearest of -3e38 and 3e38 beyond them: what is summed stays finite."""
+    if value >= -3.0e38 and value <= 3.0e38:
+        return value
+    return wp.where(value > 0.0, 3.0e38, wp.where(value < 0.0, -3.0e38, 0.0))
+
+
 @functools.cache
 def make_sampling_kernels(half: bool, image: bool, diffuse: bool, specular: bool, alpha: bool):
     """(accumulate, average) kernels, one thread a pixel of the arena.
@@ -90,10 +98,10 @@ def make_sampling_kernels(half: bool, image: bool, diffuse: bool, specular: bool
 
     @wp.func
     def add3(sums: wp.array[wp.vec3], i: wp.int32, value: wp.vec3, first: wp.bool):
-        if first:
-            sums[i] = value
-        else:
-            sums[i] = sums[i] + value
+        total = value
+        if not first:
+            total = sums[i] + value
+        sums[i] = wp.vec3(bounded(total[0]), bounded(total[1]), bounded(total[2]))
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def accumulate_kernel(
@@ -123,7 +131,7 @@ def make_sampling_kernels(half: bool, image: bool, diffuse: bool, specular: bool
             covered = parts.alpha[i]
             if not start:
                 covered = out_parts.alpha[i] + covered
-            out_parts.alpha[i] = covered
+            out_parts.alpha[i] = bounded(covered)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False)
     def average_kernel(
@@ -145,6 +153,6 @@ def make_sampling_kernels(half: bool, image: bool, diffuse: bool, specular: bool
         if wp.static(specular):
             out_parts.specular[i] = store_limit(part_sums.specular[i] / count, 3.0e38)
         if wp.static(alpha):
-            out_parts.alpha[i] = part_sums.alpha[i] / count
+            out_parts.alpha[i] = bounded(part_sums.alpha[i] / count)
 
     return accumulate_kernel, average_kernel

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import platform
 import random
+from collections.abc import Iterator
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import pytest
 import warp as wp
+
+# Profiles of the property tests: --hypothesis-profile=stress draws thousands anew.
+hypothesis.settings.register_profile("ci", max_examples=20, derandomize=True, deadline=None, print_blob=True)
+hypothesis.settings.register_profile("stress", max_examples=1000, deadline=None, print_blob=True)
+hypothesis.settings.load_profile("ci")
 
 ASSETS = Path(__file__).resolve().parents[2] / "shared" / "assets"
 
@@ -29,6 +37,23 @@ def pytest_configure(config: pytest.Config) -> None:
     wp.config.launch_array_access_mode = wp.config.LaunchArrayAccessMode.CHECKED
     if config.getoption("--debug-kernels"):
         wp.config.mode = "debug"
+    _look_at_frames(True)
+
+
+def _look_at_frames(on: bool) -> None:
+    """Set whether settings made from now on have every pass's numbers looked at, where they do not say."""
+    from warp_deferred.settings import Settings
+
+    Settings.model_fields["check_finite"].default = on
+    Settings.model_rebuild(force=True)
+
+
+@pytest.fixture
+def unchecked() -> Iterator[None]:
+    """No look at the numbers of frames: for tests that write bad ones on purpose, or count launches."""
+    _look_at_frames(False)
+    yield
+    _look_at_frames(True)
 
 
 def _cuda(config: pytest.Config) -> None:
@@ -53,6 +78,15 @@ def cuda_device(request: pytest.FixtureRequest) -> str:
     """The CUDA device, for tests that compare it with the CPU; mark such tests `gpu`."""
     _cuda(request.config)
     return "cuda:0"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _machine(record_testsuite_property) -> None:
+    """Write what the tests ran on into the file of --junitxml; stability_page.py reads it."""
+    record_testsuite_property("warp", wp.config.version)
+    record_testsuite_property("device.cpu", f"{platform.machine()} CPU")
+    if wp.is_cuda_available():
+        record_testsuite_property("device.cuda", wp.get_device("cuda:0").name)
 
 
 @pytest.fixture(autouse=True)

@@ -110,6 +110,12 @@ def test_a_view_is_a_setting_with_a_legend(fake, tmp_path, capfd):
     assert out.startswith("tiles: lights in the mask")
 
 
+def test_numbers_are_checked_where_asked_for(fake, tmp_path, capfd):
+    for flags, expected in (((), wd.Settings().check_finite), (("--check-finite",), True)):
+        assert run(capfd, "render", "x", "-o", tmp_path / "a.png", "--size", "2x2", *flags)[0] == 0
+        assert fake.made[-1].settings.check_finite is expected
+
+
 def test_quiet_prints_nothing(fake, tmp_path, capfd):
     assert run(capfd, "render", "x", "-o", tmp_path / "a.png", "--size", "2x2", "-q", "--plan") == (0, "", "")
 

@@ -104,6 +104,9 @@ def render(
         str | None,
         typer.Option("--view", metavar="NAME", help="Show a buffer in the .png: normal, depth, tiles, wireframe, ..."),
     ] = None,
+    check_finite: Annotated[
+        bool, typer.Option("--check-finite", help="Fail where a pass writes NaN or Inf; names pass, output, pixel.")
+    ] = False,
     plan: Annotated[bool, typer.Option("--plan", help="Print what runs, why, and what it costs.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -124,6 +127,8 @@ def render(
     if wanted_frames is not None:
         arguments.check_moves(scene, source)
     scene.camera = arguments.choose_camera(scene, camera, *points, vertical_fov_deg, exposure)
+    if check_finite:
+        settings = settings.replace(check_finite=True)
 
     from .renderer import Renderer
 

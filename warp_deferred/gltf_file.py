@@ -37,6 +37,8 @@ _COMPONENTS = {
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 #: More elements than this in one accessor are refused before memory is asked for.
 _MAX_COUNT = 1 << 28
+#: The same where no bytes are there to back them: accessors without a buffer view, which are zeros but for sparse ones.
+_MAX_ZEROS = 1 << 20
 _GLB = struct.Struct("<4sII")
 _CHUNK = struct.Struct("<II")
 _JSON_CHUNK, _BIN_CHUNK = 0x4E4F534A, 0x004E4942
@@ -244,6 +246,9 @@ class GltfFile:
             offset = int(accessor.get("byteOffset", 0))
             values = self._strided(accessor["bufferView"], place, offset, count, dtype, width)
         else:
+            if count > _MAX_ZEROS:
+                expected = f"at most {_MAX_ZEROS} elements without a bufferView"
+                raise self.report.error(f"{place}/count", expected, count, "name the buffer view that holds them")
             values = np.zeros((count, width), dtype)
         sparse = accessor.get("sparse")
         if sparse:

@@ -99,6 +99,7 @@ def load_ply(path: Path, report: LoadReport) -> Scene:
     header = data[: max(data.find(b"end_header"), 0)]
     if not data.startswith(b"ply") or not header:
         raise report.error("", "a PLY header from 'ply' to 'end_header'", f"{data[:20]!r}", "check the file")
+    _check_ply_counts(data, header, report)
     # Corner uvs need vertices cut apart; with vertex uvs nothing may be, or colours and normals lose their vertices.
     corner_uvs = re.search(rb"property\s+list\s+\w+\s+\w+\s+texcoord", header) is not None
     expected = "the elements its header announces (lists of one length, if binary)"
@@ -129,6 +130,16 @@ def load_ply(path: Path, report: LoadReport) -> Scene:
         material = _COLORED.replace(base_color_texture=texture) if texture is not None else material
     scene.add(mesh, material=material)
     return scene
+
+
+def _check_ply_counts(data: bytes, header: bytes, report: LoadReport) -> None:
+    """Refuse a header that announces more elements than there are lines, or bytes if binary, to hold them."""
+    announced = sum(int(count) for count in re.findall(rb"element\s+\w+\s+(\d{1,18})", header))
+    body = data[len(header) + len(b"end_header") :]
+    there = len(body) if b"format ascii" not in header else body.count(b"\n") + body.count(b"\r")
+    if announced > there:
+        unit = "bytes" if b"format ascii" not in header else "lines"
+        raise report.error("", f"{announced} elements, as its header announces", f"{there} {unit}", "copy it again")
 
 
 def _ply_triangles(raw: dict[str, Any], positions: np.ndarray, has_uvs: bool) -> np.ndarray:

@@ -24,6 +24,8 @@ MATERIAL_NAME = "material<{}>"
 
 #: What old Microsoft compilers print for numbers that are not finite, such as 1.#QNAN or -1.#IND.
 _NOT_A_NUMBER = re.compile(r"-?\d\.#[A-Za-z]+\w*")
+#: Index that no file has a vertex for.
+_FAR = 1 << 62
 _KEYWORDS = frozenset(
     "v vt vn vp f l p o g s usemtl mtllib cstype deg curv curv2 surf parm trim hole scrv sp end con bmat step "
     "bevel c_interp d_interp lod shadow_obj trace_obj ctech stech fo mg usemap maplib call csh".split()
@@ -137,7 +139,7 @@ class ObjText:
             values[:, columns] = numbers.reshape(len(words), len(columns))
             given = np.zeros(3, bool)
             given[columns] = True
-        except ValueError:
+        except (ValueError, OverflowError):
             values, given = self._mixed_corners()
         self._refuse_zeros(words, values, given)
         before = np.repeat(np.array(self._before, np.int64).reshape(-1, 3), self._lengths, axis=0)
@@ -150,7 +152,8 @@ class ObjText:
         for word in self._words:
             fields = [*word.split("/")[:3], "", ""][:3]
             try:
-                rows.append([int(fields[0]), int(fields[1] or 0), int(fields[2] or 0)])
+                # Beyond any count of vertices one index is as good as another.
+                rows.append([max(-_FAR, min(int(field or 0), _FAR)) for field in (fields[0] or "none", *fields[1:])])
             except ValueError:
                 line, forms = self._line_of(len(rows)), "corners v, v/vt, v//vn or v/vt/vn"
                 raise self._report.error(f"line {line}", forms, repr(word), "correct the face") from None

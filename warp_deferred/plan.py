@@ -10,6 +10,7 @@ import dataclasses
 import functools
 import statistics
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import warp as wp
 
@@ -33,6 +34,9 @@ from .sampling import sample_count, shutter_samples
 from .selection import PassReport, select, verify
 from .shadow_slots import ShadowTable
 from .views import ViewLayout, ViewPacker
+
+if TYPE_CHECKING:
+    from .finite_check import FiniteCheck
 
 __all__ = ["PASSES", "Plan"]
 
@@ -62,6 +66,7 @@ class Plan:
         replays: How often the passes that look at one sample run in a frame.
         outputs: Arrays of the outputs.
         shown: Those that were asked for, and not for a user's own pass alone.
+        finite_check: Looks for numbers that are not finite, where the settings say so.
 
     Raises:
         CapacityError: If a buffer would not fit its ids; before anything is allocated.
@@ -92,6 +97,7 @@ class Plan:
             program = Program(scene.device, request.threads, self.replays)
             self.resources = Resources.make(scene, lights(), self.layout, program, request.shadow_slots)
             self._allocate()
+            self.finite_check = self._finite_check()
             for k, stage in enumerate(self.passes):
                 part = START if k < loop.start else END if k >= loop.stop > 0 else SAMPLE
                 self._build(stage, part, together[k])
@@ -120,6 +126,8 @@ class Plan:
             otherwise = functools.partial(wp.copy, target, source)
         resources.program.begin(stage.name, part, condition, otherwise, beside, stage.leaves_early)
         stage.run(resources)
+        if self.finite_check is not None:
+            self.finite_check.add(stage)
         conditions = [s.name for s in resources.program.sections if s.condition is not None and not s.leaves_early]
         if len(conditions) > MAX_ACTIVE:
             raise Error(
@@ -168,9 +176,25 @@ class Plan:
             if stage.name == "shadow":
                 stage.stage(self.resources, self.packer, table, ranges)
 
+    def _finite_check(self) -> FiniteCheck | None:
+        if not self.request.settings.check_finite:
+            return None
+        from .finite_check import FiniteCheck
+
+        return FiniteCheck(self.request, self.resources)
+
     def replay(self) -> None:
-        """Run the frame; the first call on CUDA captures it."""
+        """Run the frame; the first call on CUDA captures it.
+
+        Raises:
+            Error: If the settings have it checked and a number in it is not finite.
+        """
+        if self.finite_check is None:
+            self.resources.program.replay()
+            return
+        self.finite_check.begin()
         self.resources.program.replay()
+        self.finite_check.end()
 
     def forget(self) -> None:
         """Forget the frame before: another plan's frame, or another scene's, came between."""

@@ -8,6 +8,9 @@ __all__ = ["MAX_CONCAVE_CORNERS", "triangulate_polygon"]
 
 #: Ear clipping takes quadratic time: concave polygons with more corners are cut into a plain fan.
 MAX_CONCAVE_CORNERS = 2000
+#: Corners tried for ears, for each corner of the polygon: simple polygons take a few, those that cross themselves may
+#: take all of them each time. What is left then becomes a fan.
+TESTS_PER_CORNER = 4
 
 
 def triangulate_polygon(points: np.ndarray) -> list[tuple[int, int, int]]:
@@ -76,30 +79,35 @@ def _fan_keeps_corners(wedges: list[float]) -> bool:
 
 def _clip_ears(flat: np.ndarray) -> list[tuple[int, int, int]]:
     left = list(range(len(flat)))
-    triangles = []
-    while len(left) > 3:
-        at = _find_ear(flat, left)
+    triangles, tests = [], 0
+    while len(left) > 3 and tests <= TESTS_PER_CORNER * len(flat):
+        at, tried = _find_ear(flat, left)
+        tests += tried
         a, b, c = left[at - 1], left[at], left[(at + 1) % len(left)]
         triangles.append((a, b, c))
         del left[at]
-    triangles.append((left[0], left[1], left[2]))
-    return triangles
+    return triangles + [(left[0], left[i], left[i + 1]) for i in range(1, len(left) - 1)]
 
 
-def _find_ear(flat: np.ndarray, left: list[int]) -> int:
-    """Return the place in `left` of an ear; of a corner without area if there is none; else of any convex corner."""
+def _find_ear(flat: np.ndarray, left: list[int]) -> tuple[int, int]:
+    """Return the place in `left` of an ear and how many corners were tried.
+
+    Where there is no ear it is that of a corner without area, else of any convex corner.
+    """
     points = flat[left]
     before, after = np.roll(points, 1, axis=0), np.roll(points, -1, axis=0)
     edge, reach = points - before, after - before
     turns = edge[:, 0] * reach[:, 1] - edge[:, 1] * reach[:, 0]
-    for at in np.nonzero(turns > 0.0)[0]:
-        triangle = before[at], points[at], after[at]
+    x, y = np.ascontiguousarray(points.T)
+    convex = np.nonzero(turns > 0.0)[0]
+    for tried, at in enumerate(convex, 1):
+        triangle = before[at].tolist(), points[at].tolist(), after[at].tolist()
         inside = np.ones(len(points), bool)
         for k in range(3):
-            a, b = triangle[k], triangle[(k + 1) % 3]
-            inside &= (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0]) >= 0.0
-            inside &= (points != a).any(axis=1)
+            (ax, ay), (bx, by) = triangle[k], triangle[(k + 1) % 3]
+            inside &= (bx - ax) * (y - ay) - (by - ay) * (x - ax) >= 0.0
+            inside &= (x != ax) | (y != ay)
         if not inside.any():
-            return int(at)
+            return int(at), tried
     flat_corners = np.nonzero(turns == 0.0)[0]
-    return int(flat_corners[0]) if len(flat_corners) else int(np.argmax(turns))
+    return int(flat_corners[0]) if len(flat_corners) else int(np.argmax(turns)), len(convex)

@@ -150,6 +150,7 @@ class Renderer:
 
         Raises:
             InputError: If there is no camera or an argument does not fit.
+            Error: If `Settings.check_finite` is set and a pass wrote a number that is not finite.
         """
         cameras = self._cameras(camera)
         if any(c.lens_flags & 2 for c in cameras):
@@ -171,9 +172,10 @@ class Renderer:
         resources.frame.upload()
         if poses is not None:
             self._stage_poses(poses, len(cameras), resources)
-        plan.replay()
+        # Before the replay: should it fail, the frame before is drawn over all the same.
         self._generation += 1
         generation = self._generation
+        plan.replay()
         return Frame(plan.shown, cameras, lambda: self._generation == generation)
 
     def _write_views(self, plan: Plan, block: memoryview, cameras: list[Camera]) -> None:

@@ -153,7 +153,7 @@ def _light(report: LoadReport, table: dict[str, Any], where: str) -> Any:
 
 def _settings(report: LoadReport, table: dict[str, Any]) -> Settings:
     result = Settings()
-    _known(report, "[settings]", table, Settings.model_fields)
+    _known(report, "[settings]", table, result.stages)
     for stage, values in table.items():
         current = getattr(result, stage)
         where = f"[settings.{stage}]"

@@ -109,6 +109,14 @@ class Settings(Record):
     """Blur of what is out of focus."""
     motion_blur: MotionBlurSettings = MotionBlurSettings()
     """Blur of what moves while the shutter is open."""
+    check_finite: bool = False
+    """Whether every pass's numbers are looked at, and a frame with one that is not finite is an error that names pass,
+    output, view, pixel and value: a debugging aid, which waits for each frame."""
+
+    @property
+    def stages(self) -> list[str]:
+        """Names of the fields that hold a stage's settings."""
+        return [name for name in type(self).model_fields if isinstance(getattr(self, name), Record)]
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.
@@ -124,7 +132,7 @@ class Settings(Record):
             stage, dot, field = path.strip().partition(".")
             if not equals or not dot:
                 raise input_error("--set", "stage.field=value, such as light_culling.tile_size=32", text)
-            check_choice("Settings", stage, type(self).model_fields)
+            check_choice("Settings", stage, self.stages)
             current: Any = getattr(result, stage)
             check_choice(f"Settings.{stage}", field, type(current).model_fields)
             word = value.strip()

@@ -17,6 +17,9 @@ __all__ = ["MAX_IMAGE_SIDE", "decode_image"]
 
 #: Largest side of a texture [px]; the same limit as `Texture` has.
 MAX_IMAGE_SIDE = 16384
+#: Images of more bytes than this once they are decoded may be as many times the size of their file, no more: one colour
+#: comes to 130 times as JPEG, 1000 times as PNG, which nobody paints.
+MAX_BLANK_BYTES, MAX_RATIO = 1 << 26, 200
 
 _MAGIC = (
     (b"\x89PNG\r\n\x1a\n", ".png"),
@@ -57,7 +60,12 @@ def decode_image(data: bytes) -> np.ndarray:
             spec = source.spec()
             if not (0 < spec.width <= MAX_IMAGE_SIDE and 0 < spec.height <= MAX_IMAGE_SIDE):
                 raise ValueError(f"it has {spec.width}x{spec.height} pixels, more than {MAX_IMAGE_SIDE} a side")
-            pixels = source.read_image(0, 0, 0, min(spec.nchannels, 4), oiio.UINT8)
+            channels = min(spec.nchannels, 4)
+            size = spec.width * spec.height * channels
+            if size > MAX_BLANK_BYTES and size > MAX_RATIO * len(data):
+                got = f"{spec.width}x{spec.height} pixels in {len(data)} bytes"
+                raise ValueError(f"it has {got}, which would unpack to {size // len(data)} times its size")
+            pixels = source.read_image(0, 0, 0, channels, oiio.UINT8)
             if pixels is None or source.has_error:
                 raise ValueError(_reason(source.geterror(), folder))
         finally:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import reference
 import warp as wp
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from warp_deferred.kernels.encoding import (
     FLAG_EMISSIVE,
     Surface,
@@ -196,6 +198,19 @@ def test_p12_octahedral_codecs_are_idempotent(codec, device, rng):
     inner = (np.minimum(x, y) > 0) & (np.maximum(x, y) < 2**bits - 2)
     assert np.array_equal(codes[inner], again[inner])
     assert inner.mean() > 0.95
+
+
+@pytest.mark.parametrize("codec", ["oct16", "oct24", "oct32"])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 2**32 - 1), power=st.integers(-40, 40))
+def test_p12_any_direction_comes_back_from_its_code(codec, seed, power, device):
+    rng = np.random.default_rng(seed)
+    normals = rng.normal(size=(500, 3)) * rng.choice([0.0, 1e-6, 1.0], (500, 3))
+    normals = normals[np.abs(normals).max(axis=1) > 1e-7]
+    back = decode(encode((normals * 2.0**power).astype(np.float32), codec, device), codec, device)
+    assert angle_deg(back, reference.unit(normals)).max() <= LARGEST_ERROR[codec]
+    again = decode(encode(back.astype(np.float32), codec, device), codec, device)
+    assert angle_deg(again, back).max() < 1e-4
 
 
 @pytest.mark.parametrize("levels", [254, 255, 32766, 65534, 65535])

@@ -144,7 +144,7 @@ class BlurredDepth(wd.Pass):
         self.vector.add(resources, c["normal"], c["normal_rows"], c["normal_soft"])
 
 
-def test_channels_are_blurred_for_other_passes(device):
+def test_channels_are_blurred_for_other_passes(device, unchecked):
     renderer = renderer_of(device, outputs=("depth", "normal"), passes=[BlurredDepth])
     data = images(renderer.render())
     channels = renderer.plan.resources.channels
@@ -180,7 +180,7 @@ class Spoil(wd.Pass):
         resources.program.launch(spoil_kernel, self.layout.pixels, [c[self.source]], [c[self.target]], block_dim=64)
 
 
-def test_bad_numbers_end_here(device):
+def test_bad_numbers_end_here(device, unchecked):
     spoiled = renderer_of(device, "rung=gaussian", passes=[Spoil])
     image = spoiled.render().numpy("color")[0]
     names = [stage.name for stage in spoiled.plan.passes]

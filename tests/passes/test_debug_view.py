@@ -197,7 +197,7 @@ class Spoil(wd.Pass):
         resources.program.launch(spoil_kernel, self.layout.pixels, [c[self.source]], [c[self.target]], block_dim=64)
 
 
-def test_invalid_numbers_are_marked(device):
+def test_invalid_numbers_are_marked(device, unchecked):
     clean, spoiled = shown("invalid", device), shown("invalid", device, passes=[Spoil])
     flat, base = spoiled.reshape(-1, 3), clean.reshape(-1, 3)
     assert (flat[::7] == (255, 0, 0)).all() and (flat[1::7] == (0, 255, 0)).all()

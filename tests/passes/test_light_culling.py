@@ -160,7 +160,7 @@ def test_without_lights_or_lit_outputs_nothing_is_cut(device):
         assert sum("shade" in key for key in launched) == (outputs == LIT)
 
 
-def test_one_band_costs_no_launch():
+def test_one_band_costs_no_launch(unchecked):
     sections = {}
     for budget in (1 << 28, 1):
         renderer = render(crowd(), budget)[0]

@@ -1,0 +1,88 @@
+"""The page of hard cases and their mutations: every row has both, and the page says what tests and results say."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import stability_page
+from mutations import Mutation, mutations, try_mutation
+from stability_page import ROOT, Proof, main, proofs, row_ids, rows
+
+
+def test_every_hard_case_has_a_test_or_names_what_is_missing():
+    proved = {row for proof in proofs() for row in proof.ids}
+    apart = [row for row in rows() if row.missing]
+    assert len(apart) <= 8 and all("." in row.missing for row in apart)
+    assert [row.id for row in rows() if not row.missing and row.id not in proved] == []
+    assert not proved - {row.id for row in rows() if not row.missing}, "tests named after rows that are not there"
+
+
+def test_rows_are_read_from_names():
+    assert row_ids("test_l2_l4_ply_bad_faces") == ("L2", "L4") and row_ids("test_p13_cut_in_4") == ("P13",)
+    assert row_ids("test_a_plane_of_4_pixels") == () and row_ids("test_s1") == ()
+
+
+def test_the_page_is_up_to_date():
+    assert main(["--check"]) == 0, "run python -m tests.stability_page"
+
+
+JUNIT = """<testsuites><testsuite>
+<properties><property name="warp" value="9.9"/><property name="device.cpu" value="a CPU"/></properties>
+<testcase classname="tests.passes.test_x" name="test_r3_x[cpu-1]"/>
+<testcase classname="tests.passes.test_x" name="test_r3_x[cpu-2]"><failure/></testcase>
+<testcase classname="tests.passes.test_x" name="test_r3_x[cuda:0-1]"><skipped/></testcase>
+<testcase classname="tests.passes.test_x" name="test_e9_y"><skipped/></testcase>
+<testcase classname="tests.passes.test_x" name="test_other[cpu]"/>
+</testsuite></testsuites>"""
+
+
+def test_results_are_taken_in_and_failures_show(tmp_path, monkeypatch):
+    both = Proof("passes/test_x.py", "test_r3_x", ("R3",), ("cpu", "cuda"))
+    far = Proof("passes/test_x.py", "test_e9_y", ("E9",), ("cuda",))
+    monkeypatch.setattr(stability_page, "proofs", lambda: [both, far])
+    for name in ("RESULTS", "PAGE"):
+        monkeypatch.setattr(stability_page, name, tmp_path / name)
+    (tmp_path / "run.xml").write_text(JUNIT)
+    assert main(["--results", str(tmp_path / "run.xml")]) == 0
+    text = (tmp_path / "PAGE").read_text()
+    assert "- CPU: a CPU, Warp 9.9" in text and "- CUDA: no run recorded" in text
+    line = next(line for line in text.splitlines() if line.startswith("| R3 |"))
+    assert "| 1 passed, **1 failed** | not run | [`test_r3_x`](../tests/passes/test_x.py) |" in line
+    # What ran on the GPU replaces nothing of the CPU.
+    (tmp_path / "run.xml").write_text(JUNIT.replace("cpu-", "cuda:0-").replace("<skipped/>", ""))
+    assert main(["--results", str(tmp_path / "run.xml")]) == 0
+    text = (tmp_path / "PAGE").read_text()
+    assert "| 1 passed, **1 failed** | 2 passed, **1 failed** |" in text
+    assert next(line for line in text.splitlines() if line.startswith("| E9 |")).count("| - | 1 passed |") == 1
+
+
+def test_every_row_of_the_table_has_a_mutation_that_still_applies():
+    table = {mutation.id: mutation for mutation in mutations()}
+    # Properties of whole frames are proved by many cases each; every single case has a line that breaks it.
+    assert list(table) == [row.id for row in rows() if not row.missing and row.id[0] != "P"]
+    known = {f"tests/{proof.key}": proof.ids for proof in proofs()}
+    for mutation in table.values():
+        text = (ROOT / mutation.file).read_text()
+        changed = mutation.applied(text)
+        assert changed.count("\n") == text.count("\n") and changed != text
+        assert mutation.id in known[mutation.test.partition("[")[0]]
+
+
+def test_a_mutation_that_does_not_apply_is_named():
+    mutation = Mutation("R3", "kernels/a.py", "a > b", "a < b", "tests/test_a.py::test_r3_a")
+    assert mutation.applied("if a > b:\n    pass\n") == "if a < b:\n    pass\n"
+    for text in ("if a >= b:", "a > b or a > b"):
+        with pytest.raises(ValueError, match=r"mutation R3: expected 'a > b' once in kernels/a\.py"):
+            mutation.applied(text)
+    later = dataclasses.replace(mutation, after="def g")
+    assert later.applied("def f: a > b\ndef g: a > b") == "def f: a > b\ndef g: a < b"
+
+
+def test_a_mutation_counts_as_caught_only_where_its_test_ran_and_failed(monkeypatch):
+    mutation = Mutation("R3", "kernels/projection.py", "& (PIXEL_BLOCK - 1)", "& PIXEL_BLOCK", "tests/a.py::b")
+    for code, verdict in ((0, "not noticed"), (1, "caught"), (4, "pytest ended with 4"), (None, "out of time")):
+        monkeypatch.setattr(
+            "mutations.run_tests", lambda folder, names, timeout, code=code: (code, "E   assert 1 == 2")
+        )
+        assert try_mutation(mutation, 1.0).verdict == verdict
