@@ -30,6 +30,7 @@ def sum_squares_kernel(
     # Out
     out_sum: wp.array[wp.int64],
 ):
+    """Add up the squared differences of R, G and B [code^2]."""
     total = wp.int64(0)
     for i in range(wp.tid(), first.shape[0], THREADS):
         a, b = first[i], second[i]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .effect_settings import (
     AmbientVisibilitySettings,
@@ -109,6 +109,25 @@ class Settings(Record):
     """Blur of what is out of focus."""
     motion_blur: MotionBlurSettings = MotionBlurSettings()
     """Blur of what moves while the shutter is open."""
+    preset: Literal["none", "draft", "balanced", "high", "reference"] = "none"
+    """A rung for every ladder at once, chosen from measurements: presets.py tells each one's price and error. What is
+    set beside it, field by field, goes before it. draft: for time; balanced; high: the best rungs that do not take
+    many samples of what one would do for; reference: every ladder's most accurate rung, seconds a frame."""
+
+    @model_validator(mode="after")
+    def _take_preset(self) -> Settings:
+        if self.preset == "none":
+            return self
+        from .presets import PRESETS
+
+        for stage, fields in PRESETS[self.preset].items():
+            given = getattr(self, stage)
+            own = {name: getattr(given, name) for name in given.model_fields_set}
+            filled = type(given)(**(_numbers(fields) | own))
+            # Neither counts as set by hand: another preset may take their place.
+            filled.__pydantic_fields_set__.intersection_update(own)
+            self.__dict__[stage] = filled
+        return self
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.
@@ -124,10 +143,13 @@ class Settings(Record):
             stage, dot, field = path.strip().partition(".")
             if not equals or not dot:
                 raise input_error("--set", "stage.field=value, such as light_culling.tile_size=32", text)
-            check_choice("Settings", stage, type(self).model_fields)
+            check_choice("Settings", stage, [name for name in type(self).model_fields if name != "preset"])
             current: Any = getattr(result, stage)
             check_choice(f"Settings.{stage}", field, type(current).model_fields)
-            word = value.strip()
-            number = int(word) if word.lstrip("-").isdigit() else word
-            result = result.replace(**{stage: current.replace(**{field: number})})
+            result = result.replace(**{stage: current.replace(**_numbers({field: value.strip()}))})
         return result
+
+
+def _numbers(fields: dict[str, str]) -> dict[str, Any]:
+    """Whole numbers as such: a choice among them is not made by a text."""
+    return {name: int(word) if word.lstrip("-").isdigit() else word for name, word in fields.items()}

@@ -96,6 +96,7 @@ def fit(
     where = None if cache is False else kept.folder() if cache is True else Path(cache)
     surveyor = Surveyor(probe, settings, held_fields(settings), budget_ms, progress)
     with probe.restoring(), wp.ScopedDevice(renderer.device):
+        probe.animate(probe.now_s)
         survey, date = _survey(surveyor, where)
         market = Market(survey.grid, survey.ladders)
         chooser = Chooser(market, surveyor, surveyor.truth(survey), budget_ms, max_error, survey.whole_samples)

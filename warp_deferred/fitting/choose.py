@@ -120,13 +120,16 @@ class Chooser:
         seen = list(self.verified.items())
         if not seen:
             return ms, error
-        slower = [(v.ms.p95 - v.predicted_ms, v.error**2 - v.predicted_error**2) for _, v in seen]
-        cells = np.array([self.market.cell[index] for index, _ in seen])
-        every = np.median(np.array(slower), axis=0)
-        added = np.tile(every, (len(ms), 1))
+        slower = np.array([(v.ms.p95 - v.predicted_ms, v.error**2 - v.predicted_error**2) for _, v in seen])
+        places = [index for index, _ in seen]
+        weights = self.market.weight[places]
+        every = np.median(slower / np.column_stack([weights, np.ones(len(seen))]), axis=0)
+        # Cells that nobody has looked at: as much a sample and pixel, but no more than what was seen.
+        added = np.column_stack([self.market.weight * every[0], np.full(len(ms), every[1])])
+        added[:, 0] = np.minimum(added[:, 0], np.median(slower[:, 0]))
+        cells = self.market.cell[places]
         for cell in set(cells.tolist()):
-            own = np.array(slower)[cells == cell]
-            added[self.market.cell == cell] = own[-1]
+            added[self.market.cell == cell] = slower[cells == cell][-1]
         ms += added[:, 0]
         error = np.sqrt(np.maximum(error**2 + added[:, 1], 0.0))
         for index, v in seen:

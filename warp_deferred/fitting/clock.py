@@ -21,7 +21,7 @@ from ..program import Program
 __all__ = ["Spread", "frames", "replays", "warm_up"]
 
 #: Replays of a price: at least so many, then until so many milliseconds, and no more than so many.
-LEAST, ENOUGH_MS, MOST = 3, 10.0, 24
+LEAST, ENOUGH_MS, MOST = 5, 10.0, 24
 #: A frame that takes longer than this is replayed once [ms].
 SLOW_MS = 300.0
 #: Copies that keep a device busy while the host queues a frame: a few milliseconds of them.

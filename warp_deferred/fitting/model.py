@@ -124,6 +124,7 @@ class Market:
         ms: Predicted time of each frame [ms].
         error: Predicted RMSE of its picture.
         cell: Which size and number of samples it has; frames of one cell share their corrections.
+        weight: Samples times the share of pixels that are rendered: how often what runs in each is paid.
     """
 
     def __init__(self, grid: Grid, ladders: Sequence[LadderPrices]) -> None:
@@ -133,24 +134,24 @@ class Market:
         # Ladders that take samples come first: they decide how often the others are paid.
         self._kept.sort(key=lambda kept: all(offer.samples == 1 for offer in kept[1]))
         taking = sum(any(offer.samples > 1 for offer in offers) for _, offers in self._kept)
-        blocks, cells, names = [], [], []
+        blocks, cells, weights, names = [], [], [], []
         for scale, rung in grid.errors:
             for taken in itertools.product(*(offers for _, offers in self._kept[:taking])):
                 samples = grid.samples(rung, taken)
                 ms, square = self._block(scale, rung, taken, samples)
                 blocks.append((ms, square))
                 cells.append(np.full(len(ms), list(SCALES).index(scale) * 1024 + samples))
+                weights.append(np.full(len(ms), samples * share(scale)))
                 names.append((scale, rung, taken))
         self._names, self._length = names, len(blocks[0][0]) if blocks else 0
         self.ms = np.concatenate([ms for ms, _ in blocks]) if blocks else np.zeros(0)
         self.error = np.sqrt(np.concatenate([square for _, square in blocks])) if blocks else np.zeros(0)
         self.cell = np.concatenate(cells) if cells else np.zeros(0, int)
+        self.weight = np.concatenate(weights) if weights else np.zeros(0)
         self._others = [offers for _, offers in self._kept[taking:]]
         self._taking = taking
 
-    def _block(
-        self, scale: str, rung: str, taken: Sequence[Offer], samples: int
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _block(self, scale: str, rung: str, taken: Sequence[Offer], samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Times and squared errors of all frames of one size and one number of samples."""
         ms = np.array([self.grid.time(scale, samples) + self._fxaa(scale, rung)])
         square = np.array([self.grid.errors[scale, rung] ** 2])

@@ -127,8 +127,8 @@ class Fit:
         lines = [
             f"fit of {self.scene}: {' and '.join(asked)}",
             f"  {self.verdict}",
-            f"  frame {self.ms}, predicted {self.predicted_ms:.3g} ms; picture off by {self.error:.4f} (RMSE of display "
-            f"in 0 to 1), predicted {self.predicted_error:.4f}",
+            f"  frame {self.ms}, predicted {self.predicted_ms:.3g} ms; picture off by {self.error:.4f} (RMSE of "
+            f"display in 0 to 1), predicted {self.predicted_error:.4f}",
             f"  against {self.reference}",
         ]
         if self.bought:

@@ -142,12 +142,12 @@ class Surveyor:
     def measure(self) -> Survey:
         """Measure everything that the scene calls for and the budget could reach."""
         self.look("the base frame", {})
-        base = self.probe.price()
+        usual_ms = self.probe.price()
         self._find_absent()
-        free_ms = self._cull(base)
+        free_ms = self._cull(usual_ms)
         self.probe.look(self.at({}))
-        base = self.probe.price()
-        self.base_ms = base.median
+        base = self.probe.replays()
+        self.base_ms = base.median if self.cuda else base.p5
         self.noise_ms = 0.25 * (base.p95 - base.p5)
         request = self.probe.plan.request
         self.base_samples, self.base_share = sample_count(request), share(request.settings.scale.rung)
@@ -184,22 +184,22 @@ class Surveyor:
             if ladder.name not in self.fixed and report is not None and not report.runs:
                 self.absent[ladder.name] = report.reason
 
-    def _cull(self, base: Spread) -> tuple[float, float]:
+    def _cull(self, usual_ms: float) -> tuple[float, float]:
         """Find the fastest rung of light culling; every one gives the same bits."""
         if not self._sold(EXACT):
-            return base.median, base.median
-        times = {self.free.name: base.median}
+            return usual_ms, usual_ms
+        times = {self.free.name: usual_ms}
         for rung in EXACT.rungs:
             if rung.name not in times:
                 self.free = rung
                 self.look(f"light_culling {rung.name}", {})
-                times[rung.name] = self.probe.price().median
+                times[rung.name] = self.probe.price()
         # Another one must be worth more than the noise.
         fastest = min(times, key=times.__getitem__)
-        if times[fastest] > 0.99 * base.median:
+        if times[fastest] > 0.99 * usual_ms:
             fastest = EXACT.base
         self.free = EXACT.rung(fastest)
-        return times[fastest], base.median
+        return times[fastest], usual_ms
 
     def _climb(
         self,
@@ -215,7 +215,7 @@ class Surveyor:
         if ladder.name in AMOUNTS:
             counts[ladder.name] = COUNTS[1]
         self.look(f"{ladder.name} {best.name}", {ladder.name: best.name}, counts)
-        reference_ms[ladder.name] = ms = self.probe.price().median
+        reference_ms[ladder.name] = ms = self.probe.price()
         if ladder.name in AMOUNTS:
             self._refine(ladder, best, counts, reference_ms)
             ms = reference_ms[ladder.name]
@@ -225,7 +225,7 @@ class Surveyor:
             self.look(f"{ladder.name} {rung.name}", {ladder.name: rung.name})
             error, price = self.probe.rmse(picture), self.base_ms
             if rung.name != ladder.base:
-                price = self._settled(self.probe.price().median)
+                price = self._settled(self.probe.price())
             offers[rung.name] = self._offer(ladder, rung, price, error, offers, taken)
         offers[best.name] = self._top(ladder, best, ms, counts, offers, taken)
         return LadderPrices(ladder.name, ladder.part, tuple(offers[rung.name] for rung in rungs))
@@ -281,7 +281,7 @@ class Surveyor:
         if wanted != count:
             counts[ladder.name] = wanted
             self.look(f"{ladder.name} {rung.name}", {ladder.name: rung.name}, counts)
-            reference_ms[ladder.name] = self.probe.price().median
+            reference_ms[ladder.name] = self.probe.price()
 
     def _affordable(self, most: int, ms: float, kind: str) -> int:
         """Most samples a pixel, by quarters, that the time allowed buys; those held where they are."""
@@ -314,7 +314,7 @@ class Surveyor:
                     self.unmeasured.append(f"{_cell(scale, rung)} (about {guess:.3g} ms)")
                     continue
                 self.look(_cell(scale, rung), {"scale": scale, "anti_aliasing": rung})
-                error, ms = self.probe.rmse(picture), self.probe.price().median
+                error, ms = self.probe.rmse(picture), self.probe.price()
                 errors[scale, rung] = error
                 if rung == "fxaa" and held is None:
                     # Of full size; every other size pays its share.
