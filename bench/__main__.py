@@ -303,6 +303,33 @@ def report(
 
 
 @app.command()
+def presets(
+    from_: Annotated[
+        str | None,
+        typer.Option("--from", metavar="F.json", help="Result of `accuracy`; left out: the GPU's, or a CPU's."),
+    ] = None,
+    out: Annotated[str | None, typer.Option("--out", "-o", metavar="F.py", help="Write the module here.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if it is out of date.")] = False,
+    measure: Annotated[bool, typer.Option("--measure", help="Write no module; time the presets on scenes.")] = False,
+    device: Device = "cuda:0",
+    json: Json = None,
+    quick: Quick = False,
+) -> None:
+    """Write `warp_deferred/presets.py` from what accuracy costs; or measure what the presets cost and leave."""
+    from . import presets as bench
+    from .record import ROOT
+
+    if measure:
+        _bench("presets", device, json, None, quick, None)
+        return
+    changed = bench.write(ROOT, from_, None if out is None else Path(out), check=check)
+    if changed is not None:
+        typer.echo(f"{'out of date: ' if check else 'wrote '}{changed}")
+    if check and changed is not None:
+        raise typer.Exit(1)
+
+
+@app.command()
 def compare(
     old: Annotated[str, typer.Argument(metavar="OLD.json", help="Result to measure by.")],
     new: Annotated[str, typer.Argument(metavar="NEW.json", help="Result of the same bench on the same device.")],
