@@ -2,7 +2,7 @@
 
 Growth is told in two ways. The exponent is the slope of log(figure) over log(n), by least squares over the upper half
 of the points, where what is fixed no longer hides what grows. The model figure = a + b n, by least squares of relative
-errors over all points, tells the fixed cost a and the price b of one more.
+errors over all points, tells the fixed cost a and the price b of one more, neither of them below zero.
 """
 
 from __future__ import annotations
@@ -185,7 +185,8 @@ def run(
     for axis in AXES:
         if only not in ("", axis.name):
             continue
-        words = axis.text.format(**dataclasses.asdict(FIXED[kind]))
+        values = dataclasses.asdict(FIXED[kind])
+        words = axis.text.format(**{k: count_text(v) if isinstance(v, int) else v for k, v in values.items()})
         result["axes"].append({"axis": axis.name, "fixed": words})
         for count in axis.counts[kind]:
             note(f"{count_text(count)} {axis.name}")
@@ -289,6 +290,9 @@ def fit(counts: Sequence[float], values: Sequence[float]) -> dict[str, float]:
     # Scaled by the largest n, or the two columns would differ by ten orders of magnitude.
     scaled = np.linalg.lstsq(table * [1.0, 1.0 / n[-1]], np.ones(len(n)), rcond=None)[0]
     fixed, each = float(scaled[0]), float(scaled[1] / n[-1])
+    if min(fixed, each) < 0.0:  # neither is a cost then: the other one alone
+        alone = table.sum(axis=0) / (table**2).sum(axis=0)
+        fixed, each = (0.0, float(alone[1])) if fixed < 0.0 else (float(alone[0]), 0.0)
     error = float(np.sqrt(np.mean((table @ [fixed, each] - 1.0) ** 2)))
     figures = {"exponent": float(slope), "from_n": float(n[start]), "fixed": fixed, "each": each, "error": error}
     return {name: float(f"{value:.6g}") for name, value in figures.items()}
