@@ -35,8 +35,6 @@ WHOLE_TRIANGLES = 10_000_000
 TILE_TRIANGLES = 1_000_000
 #: Side of the terrain [m].
 GROUND = 20.0
-#: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
-SLOW_MS, SLOW_REPEATS = 20.0, 10
 #: Fewest points an exponent is fitted to.
 FEWEST = 3
 
@@ -230,8 +228,6 @@ def _point(axis: Axis, count: int, device: wp.Device, settings: Settings, kind: 
     }  # fmt: skip
     ready = time.perf_counter() - begun
     program = plan.resources.program
-    first = time_program(program, repeats=min(repeats, MIN_REPEATS))
-    repeats = min(repeats, SLOW_REPEATS) if first.median > SLOW_MS else repeats
     row |= time_program(program, repeats=repeats).metrics("frame")
     for name, timing in time_passes(program, repeats=repeats).items():
         row |= timing.metrics(f"pass.{name}")
