@@ -2,7 +2,7 @@
 
 Growth is told in two ways. The exponent is the slope of log(figure) over log(n), by least squares over the upper half
 of the points, where what is fixed no longer hides what grows. The model figure = a + b n, by least squares of relative
-errors over all points, tells the fixed cost a and the price b of one more.
+errors over all points, tells the fixed cost a and the price b of one more, neither of them below zero.
 """
 
 from __future__ import annotations
@@ -35,8 +35,6 @@ WHOLE_TRIANGLES = 10_000_000
 TILE_TRIANGLES = 1_000_000
 #: Side of the terrain [m].
 GROUND = 20.0
-#: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
-SLOW_MS, SLOW_REPEATS = 20.0, 10
 #: Fewest points an exponent is fitted to.
 FEWEST = 3
 
@@ -185,7 +183,8 @@ def run(
     for axis in AXES:
         if only not in ("", axis.name):
             continue
-        words = axis.text.format(**dataclasses.asdict(FIXED[kind]))
+        values = dataclasses.asdict(FIXED[kind])
+        words = axis.text.format(**{k: count_text(v) if isinstance(v, int) else v for k, v in values.items()})
         result["axes"].append({"axis": axis.name, "fixed": words})
         for count in axis.counts[kind]:
             note(f"{count_text(count)} {axis.name}")
@@ -229,8 +228,6 @@ def _point(axis: Axis, count: int, device: wp.Device, settings: Settings, kind: 
     }  # fmt: skip
     ready = time.perf_counter() - begun
     program = plan.resources.program
-    first = time_program(program, repeats=min(repeats, MIN_REPEATS))
-    repeats = min(repeats, SLOW_REPEATS) if first.median > SLOW_MS else repeats
     row |= time_program(program, repeats=repeats).metrics("frame")
     for name, timing in time_passes(program, repeats=repeats).items():
         row |= timing.metrics(f"pass.{name}")
@@ -289,6 +286,9 @@ def fit(counts: Sequence[float], values: Sequence[float]) -> dict[str, float]:
     # Scaled by the largest n, or the two columns would differ by ten orders of magnitude.
     scaled = np.linalg.lstsq(table * [1.0, 1.0 / n[-1]], np.ones(len(n)), rcond=None)[0]
     fixed, each = float(scaled[0]), float(scaled[1] / n[-1])
+    if min(fixed, each) < 0.0:  # neither is a cost then: the other one alone
+        alone = table.sum(axis=0) / (table**2).sum(axis=0)
+        fixed, each = (0.0, float(alone[1])) if fixed < 0.0 else (float(alone[0]), 0.0)
     error = float(np.sqrt(np.mean((table @ [fixed, each] - 1.0) ** 2)))
     figures = {"exponent": float(slope), "from_n": float(n[start]), "fixed": fixed, "each": each, "error": error}
     return {name: float(f"{value:.6g}") for name, value in figures.items()}

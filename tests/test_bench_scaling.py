@@ -30,6 +30,19 @@ def test_exponent_is_of_the_upper_half():
     assert scaling.fit(counts[3:], values[3:])["from_n"] == 1e3
 
 
+def test_model_has_no_cost_below_zero():
+    counts = [1.0, 2.0, 4.0, 8.0]
+    steep = scaling.fit(counts, [n**1.5 for n in counts])
+    assert steep["fixed"] == 0.0 and 1.0 < steep["each"] < 8.0**0.5
+    falling = scaling.fit(counts, [4.0, 3.0, 2.5, 2.0])
+    assert falling["each"] == 0.0 and 2.0 < falling["fixed"] < 4.0 and falling["exponent"] < 0.0
+    # Of all prices alone, this one has the least squares.
+    errors = [
+        sum((price * n / n**1.5 - 1.0) ** 2 for n in counts) for price in np.linspace(0.9, 1.1, 21) * steep["each"]
+    ]
+    assert int(np.argmin(errors)) == 10
+
+
 def points(axis, counts, **more):
     rows = []
     for n in counts:

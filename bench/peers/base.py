@@ -7,6 +7,7 @@ peer reads anything else. Pictures and depths come back on the host, to be check
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Callable
 from typing import Any, Protocol
@@ -90,6 +91,12 @@ class Geometry:
     normals: np.ndarray
     triangles: np.ndarray
     albedo: tuple[float, float, float]
+
+    @property
+    def digest(self) -> str:
+        """Same for the same content: what a peer makes of it need not be made twice."""
+        parts = (self.positions, self.normals, self.triangles, np.array(self.albedo))
+        return hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
 def geometry_of(scene: Scene) -> Geometry:

@@ -14,7 +14,7 @@ from warp_deferred.images import write_png
 
 from ..effects import reason
 from ..record import Record
-from ..timing import REPEATS, Timing
+from ..timing import REPEATS
 from .base import Peer, srgb
 from .cases import PeerCase, narrowed
 from .mujoco_warp import MuJoCoWarp
@@ -29,8 +29,6 @@ __all__ = ["DEPTH_TOLERANCE", "PEERS", "agreement", "run"]
 PEERS: tuple[Peer, ...] = (SensorTiledCamera(), SensorCamera(), OpenGL(), NvDiffRast(), MuJoCoWarp(), PyGfx())
 #: Share of the depth by which two depths of one pixel may differ and still agree.
 DEPTH_TOLERANCE = 1e-3
-#: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times only.
-SLOW_MS, SLOW_REPEATS = 20.0, 20
 QUICK_REPEATS = 3
 
 Row = dict[str, Any]
@@ -129,7 +127,7 @@ def _row(
 ) -> Row:  # fmt: skip
     session = peer.open(case, scene, cameras, device)
     try:
-        timing = _time(session, repeats)
+        timing = session.time(repeats)
         depth = session.depth()
         if images is not None:
             _write(images / f"peers_{case.name}_{peer.name}.png", session.picture(), depth)
@@ -144,14 +142,6 @@ def _row(
     if depth is not None:
         row["depth.agrees"] = round(agreement(depth, reference), 6)
     return row
-
-
-def _time(session: Any, repeats: int) -> Timing:
-    """Time a session, with few repeats where a frame is slow."""
-    first = session.time(min(repeats, QUICK_REPEATS))
-    if first.median > SLOW_MS:
-        repeats = min(repeats, SLOW_REPEATS)
-    return session.time(repeats) if repeats > QUICK_REPEATS else first
 
 
 def agreement(depth: np.ndarray, reference: np.ndarray) -> float:

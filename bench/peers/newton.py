@@ -24,6 +24,9 @@ __all__ = ["SensorCamera", "SensorTiledCamera"]
 
 #: Numbers of light types in Newton's kernels; what is neither spot nor directional shines everywhere.
 SPOT, POINT = 0, 2
+#: Models that are kept: the terrain of the G-buffers and that of all other cases.
+KEPT = 2
+_kept: dict[tuple[str, str], Any] = {}
 #: Images of a G-buffer.
 GBUFFER = ("forward_depth", "normal", "albedo", "shape_index")
 
@@ -88,16 +91,22 @@ class SensorCamera(_Newton):
 
 
 def _model(scene: Scene, device: wp.Device) -> Any:
-    """Newton's model of the scene: one static mesh."""
+    """Newton's model of the scene: one static mesh; the last ones are kept, since to finalize one takes seconds."""
     import newton
 
     geometry = geometry_of(scene)
-    mesh = newton.Mesh(
-        geometry.positions, geometry.triangles.ravel(), normals=geometry.normals, compute_inertia=False, is_solid=False
-    )
-    builder = newton.ModelBuilder(up_axis="Y")
-    builder.add_shape_mesh(-1, mesh=mesh, color=tuple(srgb(geometry.albedo) / 255.0))
-    return builder.finalize(device=device)
+    key = (geometry.digest, str(device))
+    if key not in _kept:
+        while len(_kept) >= KEPT:
+            _kept.pop(next(iter(_kept)))
+        mesh = newton.Mesh(
+            geometry.positions, geometry.triangles.ravel(), normals=geometry.normals, compute_inertia=False,
+            is_solid=False,
+        )  # fmt: skip
+        builder = newton.ModelBuilder(up_axis="Y")
+        builder.add_shape_mesh(-1, mesh=mesh, color=tuple(srgb(geometry.albedo) / 255.0))
+        _kept[key] = builder.finalize(device=device)
+    return _kept[key]
 
 
 def _lights(scene: Scene, device: wp.Device) -> dict[str, Any]:
