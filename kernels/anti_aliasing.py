@@ -1,4 +1,4 @@
-"""Anti-aliasing of the finished picture: FXAA. Four pixels a thread, block size 64; last in the frame, after display.
+"""Anti-aliasing of the finished picture: FXAA. One thread a pixel, block size 64; last in the frame, after display.
 
 Method: fast approximate anti-aliasing (Lottes 2009, "FXAA", NVIDIA white paper, and the notes on its version 3.11,
 2011). Where luma among a pixel and its four neighbours differs enough, second differences of the 3 x 3 pixels tell
@@ -19,11 +19,7 @@ What stays as it is to the bit: alpha; flat surroundings; every picture that is 
 rises after it fell (or the other way) across, up to its borders. A corner of such edges is rounded, a line gets softer.
 Views are clamped at their borders and never see one another.
 
-A block has a raster bin, 16 x 16 pixels, half of them each warp. Its lanes first look at the contrast of every pixel
-and list those at edges, some tenth of a picture, in memory they share; then they take these one a lane. So no lane
-waits while its neighbours walk along an edge, and where there is none a warp ends early.
-
-Bytes a pixel: 4 in, 4 out; the neighbours come from the cache. Operations: about 50 where nothing is done; at edges
+Bytes a pixel: 4 in, 4 out; the neighbours come from the cache. Operations: about 60 where nothing is done; at edges
 up to 64 cached loads more.
 """
 
@@ -33,23 +29,18 @@ import warp as wp
 
 from .color import srgb_code
 from .intrinsics import load_vec4i, load_word, weigh_bytes
-from .lanes import flagged_lanes, warp_numbers, warp_sync, warp_width
-from .projection import pixel_block, pixel_index
+from .projection import pixel_block, pixel_in_block, pixel_index
 from .structs import View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
-#: Pixels of a block: a raster bin.
-PIXELS = wp.constant(256)
 #: Alpha is in the highest byte.
 ALPHA_BITS = wp.constant(wp.uint32(0xFF000000))
 #: Weights 54, 183, 19 and 0 of red, green, blue and alpha, red's in the lowest byte.
 LUMA_WEIGHTS = wp.constant(wp.uint32(0x0013B736))
 #: Pixels each way within which an end of an edge is looked for.
 STEPS = wp.constant(16)
-#: Of these, looked at before the first of them is judged.
-STRIDE = wp.constant(4)
 #: Contrast below which nothing is done, in 256ths of a code: a twelfth of white, version 3.11's usual choice.
 LEAST_CONTRAST = wp.constant(21 * 256)
 #: Contrast below which nothing is done: the brightest luma over this; likewise.
@@ -109,16 +100,13 @@ def find_end(
     """
     pixels = wp.int32(STEPS + 1)
     change = wp.int32(0)
-    last = wp.min(room, STEPS)
-    for k in range(1, last + 1, STRIDE):
-        # Loads of several steps are on their way together; the nearest end is looked at last and wins.
-        for n in range(wp.static(int(STRIDE) - 1), -1, -1):
-            i = start + step * wp.min(k + n, last)
-            here = luma(picture, i) + luma(picture, i + partner) - level
-            if k + n <= last and 2 * wp.abs(here) >= limit:
-                pixels = k + n
-                change = here
-        if pixels <= STEPS:
+    i = wp.int32(start)
+    for k in range(1, wp.min(room, STEPS) + 1):
+        i += step
+        here = luma(picture, i) + luma(picture, i + partner) - level
+        if 2 * wp.abs(here) >= limit:
+            pixels = k
+            change = here
             break
     return wp.vec2i(pixels, change)
 
@@ -162,82 +150,11 @@ def mix_codes(
     return mixed
 
 
-@wp.struct
-class Cross:
-    """A pixel, and what leads from it to its four neighbours; 0 where the view ends."""
-
-    index: wp.int32
-    left: wp.int32
-    right: wp.int32
-    up: wp.int32
-    down: wp.int32
-
-
-@wp.func
-def cross_at(view: View, x: wp.int32, y: wp.int32):
-    """Surroundings of a pixel."""
-    cross = Cross()
-    cross.index = pixel_index(view, x, y)
-    cross.left = -wp.min(x, 1)
-    cross.right = wp.min(view.width - 1 - x, 1)
-    cross.up = -wp.min(y, 1) * view.row_pitch
-    cross.down = wp.min(view.height - 1 - y, 1) * view.row_pitch
-    return cross
-
-
-@wp.func
-def edge_contrast(picture: wp.array[wp.uint32], cross: Cross, code: wp.uint32):
-    """Largest less smallest luma of a pixel and its four neighbours; 0 where it is too little to do anything."""
-    i = cross.index
-    m = weigh_bytes(code, LUMA_WEIGHTS)
-    n, s = luma(picture, i + cross.up), luma(picture, i + cross.down)
-    w, e = luma(picture, i + cross.left), luma(picture, i + cross.right)
-    brightest = wp.max(m, wp.max(wp.max(n, s), wp.max(w, e)))
-    contrast = brightest - wp.min(m, wp.min(wp.min(n, s), wp.min(w, e)))
-    return wp.where(contrast < LEAST_CONTRAST or contrast * RELATIVE_CONTRAST < brightest, 0, contrast)
-
-
-@wp.func
-def smoothed(
-    view: View,
-    picture: wp.array[wp.uint32],
-    linear: wp.array[wp.float32],
-    thresholds: wp.array[wp.float32],
-    x: wp.int32,
-    y: wp.int32,
-):
-    """Code of a pixel with contrast, mixed with its partner across the edge."""
-    cross = cross_at(view, x, y)
-    i = cross.index
-    code = load_word(picture, i)
-    contrast = edge_contrast(picture, cross, code)
-    m = weigh_bytes(code, LUMA_WEIGHTS)
-    n, s = luma(picture, i + cross.up), luma(picture, i + cross.down)
-    w, e = luma(picture, i + cross.left), luma(picture, i + cross.right)
-    nw, ne = luma(picture, i + cross.up + cross.left), luma(picture, i + cross.up + cross.right)
-    sw, se = luma(picture, i + cross.down + cross.left), luma(picture, i + cross.down + cross.right)
-    across_y = wp.abs(nw + sw - 2 * w) + 2 * wp.abs(n + s - 2 * m) + wp.abs(ne + se - 2 * e)
-    across_x = wp.abs(nw + ne - 2 * n) + 2 * wp.abs(w + e - 2 * m) + wp.abs(sw + se - 2 * s)
-    partner = wp.where(wp.abs(w - m) >= wp.abs(e - m), cross.left, cross.right)
-    step = view.row_pitch
-    rooms = wp.vec2i(y, view.height - 1 - y)
-    if across_y >= across_x:
-        partner = wp.where(wp.abs(n - m) >= wp.abs(s - m), cross.up, cross.down)
-        step = 1
-        rooms = wp.vec2i(x, view.width - 1 - x)
-    share = low_pass_share(2 * (n + s + w + e) + nw + ne + sw + se - 12 * m, contrast)
-    if luma(picture, i + partner) != m:
-        share = wp.max(share, edge_share(picture, i, partner, step, rooms))
-    if share > 0.0:
-        code = mix_codes(code, load_word(picture, i + partner), share, linear, thresholds)
-    return code
-
-
 @wp.kernel(grid_stride=False)
 def anti_aliasing_kernel(
     # Frame
     views: wp.array[View],
-    bin_tiles: wp.array[wp.vec4i],
+    blocks: wp.array[wp.vec4i],
     # In
     picture: wp.array[wp.uint32],
     linear: wp.array[wp.float32],
@@ -247,35 +164,41 @@ def anti_aliasing_kernel(
     # Out
     out_display: wp.array[wp.uint32],
 ):
-    """Find edges, four pixels a lane, then smooth them, one a lane."""
+    """One thread a pixel, over the table of blocks."""
     thread = wp.tid() + first
-    lane = thread & (BLOCK_DIM - 1)
-    tile = load_vec4i(bin_tiles, pixel_block(thread))
-    view = views[tile[0]]
-    # The same for the whole block; within a warp no lane may leave before the others.
-    if view.depth_only != 0:
+    block = load_vec4i(blocks, pixel_block(thread))
+    place = pixel_in_block(thread)
+    view = views[block[0]]
+    x, y = block[1] + place[0], block[2] + place[1]
+    if x >= view.width or y >= view.height:
         return
-    count = wp.int32(0)
-    for k in range(lane, PIXELS, BLOCK_DIM):
-        x, y = tile[1] + (k & 15), tile[2] + (k >> 4)
-        edge = wp.bool(False)
-        if x < view.width and y < view.height:
-            cross = cross_at(view, x, y)
-            code = load_word(picture, cross.index)
-            edge = edge_contrast(picture, cross, code) > 0
-            if not edge:
-                out_display[cross.index] = code
-            elif warp_width() == 1:
-                out_display[cross.index] = smoothed(view, picture, linear, thresholds, x, y)
-        if warp_width() > 1:
-            listed = flagged_lanes(edge)
-            if edge:
-                warp_numbers(True, count + listed[0], k)
-            count += listed[1]
-    if warp_width() > 1:
-        warp_sync()
-        for n in range(lane & 31, count, 32):
-            k = warp_numbers(False, n, 0)
-            x, y = tile[1] + (k & 15), tile[2] + (k >> 4)
-            code = smoothed(view, picture, linear, thresholds, x, y)
-            out_display[pixel_index(view, x, y)] = code
+    i = pixel_index(view, x, y)
+    code = load_word(picture, i)
+    right_room, down_room = view.width - 1 - x, view.height - 1 - y
+    left, right = -wp.min(x, 1), wp.min(right_room, 1)
+    up, down = -wp.min(y, 1) * view.row_pitch, wp.min(down_room, 1) * view.row_pitch
+    m = weigh_bytes(code, LUMA_WEIGHTS)
+    n, s = luma(picture, i + up), luma(picture, i + down)
+    w, e = luma(picture, i + left), luma(picture, i + right)
+    brightest = wp.max(m, wp.max(wp.max(n, s), wp.max(w, e)))
+    contrast = brightest - wp.min(m, wp.min(wp.min(n, s), wp.min(w, e)))
+    if contrast < LEAST_CONTRAST or contrast * RELATIVE_CONTRAST < brightest:
+        out_display[i] = code
+        return
+    nw, ne = luma(picture, i + up + left), luma(picture, i + up + right)
+    sw, se = luma(picture, i + down + left), luma(picture, i + down + right)
+    across_y = wp.abs(nw + sw - 2 * w) + 2 * wp.abs(n + s - 2 * m) + wp.abs(ne + se - 2 * e)
+    across_x = wp.abs(nw + ne - 2 * n) + 2 * wp.abs(w + e - 2 * m) + wp.abs(sw + se - 2 * s)
+    partner = wp.where(wp.abs(w - m) >= wp.abs(e - m), left, right)
+    step = view.row_pitch
+    rooms = wp.vec2i(y, down_room)
+    if across_y >= across_x:
+        partner = wp.where(wp.abs(n - m) >= wp.abs(s - m), up, down)
+        step = 1
+        rooms = wp.vec2i(x, right_room)
+    share = low_pass_share(2 * (n + s + w + e) + nw + ne + sw + se - 12 * m, contrast)
+    if luma(picture, i + partner) != m:
+        share = wp.max(share, edge_share(picture, i, partner, step, rooms))
+    if share > 0.0:
+        code = mix_codes(code, picture[i + partner], share, linear, thresholds)
+    out_display[i] = code

@@ -55,49 +55,6 @@ def any_lane(flag: wp.bool) -> wp.bool:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    const unsigned int lanes = __ballot_sync(0xffffffffu, flag);
-    return wp::vec_t<2, wp::int32>(__popc(lanes & ((1u << (threadIdx.x & 31)) - 1u)), __popc(lanes));
-#else
-    return wp::vec_t<2, wp::int32>(0, flag ? 1 : 0);
-#endif
-""")
-def flagged_lanes(flag: wp.bool) -> wp.vec2i:
-    """How many lanes of the warp before this one, and how many in all, have the flag set; all lanes must call it."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    __shared__ int numbers[256];
-    if (storing) {
-        numbers[(threadIdx.x >> 5) * 128 + index] = value;
-        return value;
-    }
-    return numbers[(threadIdx.x >> 5) * 128 + index];
-#else
-    return value;
-#endif
-""")
-def warp_numbers(storing: wp.bool, index: wp.int32, value: wp.int32) -> wp.int32:
-    """Store to, or read from, 128 numbers that the lanes of a warp share, in blocks of two warps.
-
-    `warp_sync` between the two. The CPU, where a warp is one lane, has none and gives `value` back.
-    """
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    __syncwarp();
-#endif
-""")
-def warp_sync():
-    """Wait for all lanes of the warp, every one of which must arrive."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
     __shared__ wp::uint64 words[512];
     wp::uint64* own = words + (threadIdx.x >> 6) * 128;
     if (storing) {

@@ -21,10 +21,10 @@ def smooth(pictures: list[np.ndarray], device: str) -> list[np.ndarray]:
     out = wp.zeros(len(words), dtype=wp.uint32, device=device)
     tables = [wp.array(t, dtype=wp.float32, device=device) for t in (color.srgb_linear(), color.srgb_thresholds())]
     inputs = [
-        wp.array(views, dtype=structs.View, device=device), table_array(layout.bin_tiles, wp.get_device(device)),
+        wp.array(views, dtype=structs.View, device=device), table_array(layout.blocks, wp.get_device(device)),
         wp.array(words, dtype=wp.uint32, device=device), *tables, 0,
     ]  # fmt: skip
     block = kernels.BLOCK_DIM
-    wp.launch(kernels.anti_aliasing_kernel, layout.shown_bins * 64, inputs, [out], device=device, block_dim=block)
+    wp.launch(kernels.anti_aliasing_kernel, len(layout.blocks) * 64, inputs, [out], device=device, block_dim=block)
     ends = np.cumsum([p.shape[0] * p.shape[1] for p in pictures])[:-1]
     return [w.view(np.uint8).reshape(p.shape) for w, p in zip(np.split(out.numpy(), ends), pictures, strict=True)]

@@ -139,6 +139,6 @@ def held_fields(settings: Settings) -> frozenset[tuple[str, str]]:
     return frozenset(
         (stage, field)
         for stage in settings.model_fields_set
-        if stage in type(settings).model_fields and stage != "preset"
+        if stage in settings.stages
         for field in getattr(settings, stage).model_fields_set
     )

@@ -152,8 +152,7 @@ def assignments(settings: Settings) -> list[str]:
     plain = Settings()
     return [
         f"{stage}.{field}={value}"
-        for stage in type(plain).model_fields
-        if stage != "preset"
+        for stage in plain.stages
         for field, value in getattr(settings, stage)
         if value != getattr(getattr(plain, stage), field)
     ]

@@ -45,8 +45,8 @@ class AntiAliasingPass(Pass):
         channels = resources.channels
         resources.program.launch(
             kernels.anti_aliasing_kernel,
-            self.layout.shown_bins * 64,
-            [resources.frame.views, resources.bin_tiles, channels[ALIASED], *self.tables, FIRST],
+            len(self.layout.blocks) * 64,
+            [resources.frame.views, resources.blocks, channels[ALIASED], *self.tables, FIRST],
             [channels[shown_channel(self.request)]],
             block_dim=kernels.BLOCK_DIM,
             band=64,
