@@ -12,7 +12,7 @@ import warp as wp
 
 from bench import layout, peer_tables, performance_page, record, targets
 from bench.__main__ import main
-from bench.peers import base, cases, measure, nvdiffrast, opengl
+from bench.peers import base, cases, measure, newton, nvdiffrast, opengl
 from bench.peers.mujoco_warp import MuJoCoWarp
 from bench.peers.newton import SensorCamera, SensorTiledCamera
 from bench.peers.nvdiffrast import NvDiffRast
@@ -253,6 +253,30 @@ def test_installed_peers_see_the_same_surface(peer):
             session.close()
         reference = Renderer(scene, width=case.width, height=case.height, device="cpu", outputs=("depth",))
         assert measure.agreement(depth, reference.render(cameras).numpy("depth")) > 0.995
+
+
+@pytest.mark.skipif(SensorCamera().available(CPU) is not None, reason="no Newton")
+def test_newton_gets_the_tree_that_is_searched_fastest(monkeypatch):
+    built = []
+
+    def timed(session, device, run, repeats):
+        run()
+        constructor = [key[2] for key in newton._kept][-1]
+        built.append(constructor)
+        if constructor == "cubql":
+            raise RuntimeError("no such tree")
+        return Timing(1.0 if constructor == "sah" else 2.0, 1.0, 1.0, repeats)
+
+    monkeypatch.setattr(newton, "_kept", {})
+    monkeypatch.setattr(newton, "_fastest", {})
+    monkeypatch.setattr(newton, "_constructors", lambda device: newton.CONSTRUCTORS)
+    monkeypatch.setattr(newton, "time_warp", timed)
+    case = cases.peer_cases(quick=True)[0]
+    scene = case.build()
+    for _ in range(2):
+        session = SensorCamera().open(case, scene, case.cameras(scene), CPU)
+        assert session.model is newton._kept[base.geometry_of(scene).digest, "cpu", "sah"]
+    assert built == [None, "sah", "cubql"] and "sah tree on cpu" in SensorCamera().version()
 
 
 @pytest.mark.skipif(OpenGL().available(CPU) is not None, reason="no OpenGL on the CPU")

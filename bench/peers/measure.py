@@ -78,6 +78,8 @@ def run(
     for case in narrowed(only, quick=quick):
         note(case.title)
         result["rows"] += _case(case, present, device, settings, repeats, Path(images) if images else None, skip)
+        # Once it has run, a peer may know more of itself.
+        result["peers"] = [_told(peer) for peer in (*OURS, *present)]
         if keep:
             keep(result)
     return result
