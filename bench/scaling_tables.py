@@ -15,8 +15,8 @@ Row = dict[str, Any]
 REMARKS = {
     "triangles": "Passes after `raster` work by the pixel and know nothing of triangles; with fewer triangles than "
     "pixels they hide what `raster` costs.",
-    "lights": "As many lights reach a pixel however many there are, so that `shade` grows only as tiles hold more lights "
-    "in vain; `light_culling` looks at all of them, coarse tiles first.",
+    "lights": "As many lights reach a pixel however many there are, so that `shade` grows only as tiles hold more of "
+    "them in vain; `light_culling` looks at all of them, coarse tiles first.",
     "pixels": "Small pictures do not fill a GPU, and a tile, which has a fixed number of pixels, sees the more of the "
     "scene and of its lights the fewer pixels there are: they need not be cheaper.",
     "views": "All views are drawn by the same launches, so that a few small ones cost little more than one.",

@@ -321,8 +321,11 @@ def made(**changes):
 
 def test_tables_say_who_wins_and_what_must_be_reached():
     text = peer_tables.peers_table(made())
-    assert "| Newton | 8.40 | 0.100 to 9.00 | 21.0 x | ≥ 20 x ✓ | 99.90% |" in text
+    assert "| Newton | 8.40 | 0.100 to 9.00 | 21.0 x | ≥ 20 x ✓ | 99.900% |" in text
     assert "faster than ours here: nowhere. Why." in text and "- pygfx: no module pygfx" in text
+    # Nearly all pixels are not all.
+    assert "| 99.999% |" in peer_tables.peers_table(made(**{"depth.agrees": 0.999999}))
+    assert "| everywhere |" in peer_tables.peers_table(made(**{"depth.agrees": 1.0}))
     lost = peer_tables.peers_table(made(ratio=0.5))
     assert "0.500 x, faster | ≥ 20 x ✗" in lost and "faster than ours here: terrain (0.500 x). Why." in lost
     assert "| terrain | **0.400** | 8.40 (21.0 x), ≥ 20 x ✓ |" in peer_tables.peers_overview(made())
