@@ -73,7 +73,7 @@ def run(monkeypatch, *peers, only="gbuffer_quick", keep=None):
 
 
 def test_clip_space_of_peers_is_the_cameras_own():
-    case = cases.peer_cases(quick=True)[1]
+    case = cases.peer_cases(False, quick=True)[1]
     camera = case.cameras(case.build())[2]
     points = np.array([[0.0, 0.0, 0.0], [3.0, -0.5, 1.0], [-2.0, 0.5, -4.0]])
     seen = np.concatenate([points, np.ones((3, 1))], axis=1) @ base.view_matrix(camera).T
@@ -110,18 +110,20 @@ def test_lights_of_peers_are_the_scenes():
 
 
 def test_cases_cover_what_was_asked_for():
-    full = {case.name: case for case in cases.peer_cases(quick=False)}
+    full = {case.name: case for case in cases.peer_cases(True)}
     assert {case.kind for case in full.values()} == set(cases.KINDS)
     assert all(case.triangles == 500_000 for case in full.values())
     assert [c.lights for c in full.values() if c.kind == "lit"] == [1, 16, 200, 1000]
     assert [c.shadowed for c in full.values() if c.kind == "shadowed"] == [1, 4, 16]
     assert full["gbuffer_views_64"].views == 64 and full["frame_4k"].width == 3840
     assert {case for case, _ in targets.PEER_TARGETS} <= set(full)
+    small = cases.peer_cases(False)
+    assert {case.kind for case in small} == set(cases.KINDS) and max(case.width for case in small) == 640
     assert {peer for _, peer in targets.PEER_TARGETS} <= {peer.name for peer in measure.PEERS}
 
 
 def test_what_moved_is_no_input():
-    scene = cases.peer_cases(quick=True)[0].build()
+    scene = cases.peer_cases(False, quick=True)[0].build()
     scene.instances[0].transform = np.diag([2.0, 1.0, 1.0, 1.0])
     with pytest.raises(ValueError, match="not moved"):
         base.geometry_of(scene)
@@ -192,7 +194,7 @@ def test_a_case_that_is_none_is_refused(capsys):
 
 def test_nvdiffrast_depth_is_made_of_z_over_w(monkeypatch):
     """Its rasterizer stood in for: it hands back our own depth as it would, in clip space with row 0 at the bottom."""
-    case = cases.peer_cases(quick=True)[1]
+    case = cases.peer_cases(False, quick=True)[1]
     scene = case.build()
     cameras = case.cameras(scene)
     reference = measure._reference(case, scene, cameras, CPU)
@@ -242,7 +244,7 @@ def test_nvdiffrast_depth_is_made_of_z_over_w(monkeypatch):
 def test_installed_peers_see_the_same_surface(peer):
     if why := peer.available(CPU):
         pytest.skip(why)
-    for case in cases.peer_cases(quick=True)[:2]:
+    for case in cases.peer_cases(False, quick=True)[:2]:
         scene = case.build()
         cameras = case.cameras(scene)
         session = peer.open(case, scene, cameras, CPU)
@@ -271,7 +273,7 @@ def test_newton_gets_the_tree_that_is_searched_fastest(monkeypatch):
     monkeypatch.setattr(newton, "_fastest", {})
     monkeypatch.setattr(newton, "_constructors", lambda device: newton.CONSTRUCTORS)
     monkeypatch.setattr(newton, "time_warp", timed)
-    case = cases.peer_cases(quick=True)[0]
+    case = cases.peer_cases(False, quick=True)[0]
     scene = case.build()
     for _ in range(2):
         session = SensorCamera().open(case, scene, case.cameras(scene), CPU)
@@ -282,7 +284,7 @@ def test_newton_gets_the_tree_that_is_searched_fastest(monkeypatch):
 @pytest.mark.skipif(OpenGL().available(CPU) is not None, reason="no OpenGL on the CPU")
 def test_opengl_lights_as_we_do():
     """Where nothing is tone mapped away, forward shading and ours are the same picture but for rounding."""
-    case = next(c for c in cases.peer_cases(quick=True) if c.kind == "frame")
+    case = next(c for c in cases.peer_cases(False, quick=True) if c.kind == "frame")
     scene = case.build()
     scene.lights.point.intensity = 0.05 * scene.lights.point.intensity
     scene.lights.spot.intensity = 0.05 * scene.lights.spot.intensity
