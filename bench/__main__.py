@@ -252,7 +252,7 @@ def peers(
     """Newton, OpenGL and nvdiffrast beside this renderer, on the same scenes in one run; who is missing is named."""
     from .peers.cases import narrowed
 
-    narrowed(only, quick=quick)  # before minutes of measuring, not after
+    narrowed(only, not device.startswith("cpu"), quick=quick)  # before minutes of measuring, not after
     _bench("peers", device, json, plot, quick, set_, only=only, images=preview, keeps=True)
 
 

@@ -48,7 +48,8 @@ def peers_table(record: Record) -> str:
             continue
         lines, last = [], ""
         for row in rows:
-            agrees = f"{row['depth.agrees']:.2%}" if "depth.agrees" in row else ""
+            share = row.get("depth.agrees")
+            agrees = "" if share is None else "everywhere" if share == 1.0 else f"{min(share, 0.99999):.3%}"
             case = row["title"] if row["title"] != last else ""
             time = milliseconds(row["time.ms"])
             own = row["peer"] == "ours"

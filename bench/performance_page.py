@@ -19,7 +19,8 @@ BENCHES = {
         "The same triangles, cameras and lights handed to each renderer in one run on one device. Times are medians of "
         "repeated frames with nothing in between; scenes, trees and textures are made before, outside the clock. What "
         "each computes differs, and is told below the tables: a ratio means something only beside that. Rows where "
-        "another is faster stand like all others.",
+        "another is faster stand like all others. OpenGL and WebGPU run on units that data-centre cards have few of: "
+        "what they take there says little of a graphics card.",
     ),
     "scaling": (
         "Growth",

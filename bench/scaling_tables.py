@@ -11,6 +11,17 @@ __all__ = ["fit_of", "power", "scaling_overview", "scaling_table"]
 
 Row = dict[str, Any]
 
+#: What shapes the curves, by axis.
+REMARKS = {
+    "triangles": "Passes after `raster` work by the pixel and know nothing of triangles; with fewer triangles than "
+    "pixels they hide what `raster` costs.",
+    "lights": "As many lights reach a pixel however many there are, so that `shade` grows only as tiles hold more of "
+    "them in vain; `light_culling` looks at all of them, coarse tiles first.",
+    "pixels": "Small pictures do not fill a GPU, and a tile, which has a fixed number of pixels, sees the more of the "
+    "scene and of its lights the fewer pixels there are: they need not be cheaper.",
+    "views": "All views are drawn by the same launches, so that a few small ones cost little more than one.",
+}
+
 
 def fit_of(record: Record, axis: str, figure: str) -> Row | None:
     """Fit of a figure along an axis; None where there were too few points."""
@@ -93,7 +104,7 @@ def scaling_table(record: Record) -> str:
             for f in record["fits"]
             if f["axis"] == axis["axis"] and f["figure"].startswith("pass.")
         ]
-        text = f"**{axis['axis']}**: {axis['fixed']}.\n\n{markdown(columns, lines)}"
+        text = f"**{axis['axis']}**: {axis['fixed']}. {REMARKS[axis['axis']]}\n\n{markdown(columns, lines)}"
         parts.append(text + (f"\n\nBy pass: {', '.join(grown)}." if grown else ""))
     parts.append("Memory: on the device, beside the scene. Build: host time of scene, plan and first frame.")
     if record["skipped"]:

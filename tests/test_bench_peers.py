@@ -12,7 +12,7 @@ import warp as wp
 
 from bench import layout, peer_tables, performance_page, record, targets
 from bench.__main__ import main
-from bench.peers import base, cases, measure, nvdiffrast, opengl
+from bench.peers import base, cases, measure, newton, nvdiffrast, opengl
 from bench.peers.mujoco_warp import MuJoCoWarp
 from bench.peers.newton import SensorCamera, SensorTiledCamera
 from bench.peers.nvdiffrast import NvDiffRast
@@ -73,7 +73,7 @@ def run(monkeypatch, *peers, only="gbuffer_quick", keep=None):
 
 
 def test_clip_space_of_peers_is_the_cameras_own():
-    case = cases.peer_cases(quick=True)[1]
+    case = cases.peer_cases(False, quick=True)[1]
     camera = case.cameras(case.build())[2]
     points = np.array([[0.0, 0.0, 0.0], [3.0, -0.5, 1.0], [-2.0, 0.5, -4.0]])
     seen = np.concatenate([points, np.ones((3, 1))], axis=1) @ base.view_matrix(camera).T
@@ -110,18 +110,20 @@ def test_lights_of_peers_are_the_scenes():
 
 
 def test_cases_cover_what_was_asked_for():
-    full = {case.name: case for case in cases.peer_cases(quick=False)}
+    full = {case.name: case for case in cases.peer_cases(True)}
     assert {case.kind for case in full.values()} == set(cases.KINDS)
     assert all(case.triangles == 500_000 for case in full.values())
     assert [c.lights for c in full.values() if c.kind == "lit"] == [1, 16, 200, 1000]
     assert [c.shadowed for c in full.values() if c.kind == "shadowed"] == [1, 4, 16]
     assert full["gbuffer_views_64"].views == 64 and full["frame_4k"].width == 3840
     assert {case for case, _ in targets.PEER_TARGETS} <= set(full)
+    small = cases.peer_cases(False)
+    assert {case.kind for case in small} == set(cases.KINDS) and max(case.width for case in small) == 640
     assert {peer for _, peer in targets.PEER_TARGETS} <= {peer.name for peer in measure.PEERS}
 
 
 def test_what_moved_is_no_input():
-    scene = cases.peer_cases(quick=True)[0].build()
+    scene = cases.peer_cases(False, quick=True)[0].build()
     scene.instances[0].transform = np.diag([2.0, 1.0, 1.0, 1.0])
     with pytest.raises(ValueError, match="not moved"):
         base.geometry_of(scene)
@@ -192,7 +194,7 @@ def test_a_case_that_is_none_is_refused(capsys):
 
 def test_nvdiffrast_depth_is_made_of_z_over_w(monkeypatch):
     """Its rasterizer stood in for: it hands back our own depth as it would, in clip space with row 0 at the bottom."""
-    case = cases.peer_cases(quick=True)[1]
+    case = cases.peer_cases(False, quick=True)[1]
     scene = case.build()
     cameras = case.cameras(scene)
     reference = measure._reference(case, scene, cameras, CPU)
@@ -242,7 +244,7 @@ def test_nvdiffrast_depth_is_made_of_z_over_w(monkeypatch):
 def test_installed_peers_see_the_same_surface(peer):
     if why := peer.available(CPU):
         pytest.skip(why)
-    for case in cases.peer_cases(quick=True)[:2]:
+    for case in cases.peer_cases(False, quick=True)[:2]:
         scene = case.build()
         cameras = case.cameras(scene)
         session = peer.open(case, scene, cameras, CPU)
@@ -255,10 +257,34 @@ def test_installed_peers_see_the_same_surface(peer):
         assert measure.agreement(depth, reference.render(cameras).numpy("depth")) > 0.995
 
 
+@pytest.mark.skipif(SensorCamera().available(CPU) is not None, reason="no Newton")
+def test_newton_gets_the_tree_that_is_searched_fastest(monkeypatch):
+    built = []
+
+    def timed(session, device, run, repeats):
+        run()
+        constructor = [key[2] for key in newton._kept][-1]
+        built.append(constructor)
+        if constructor == "cubql":
+            raise RuntimeError("no such tree")
+        return Timing(1.0 if constructor == "sah" else 2.0, 1.0, 1.0, repeats)
+
+    monkeypatch.setattr(newton, "_kept", {})
+    monkeypatch.setattr(newton, "_fastest", {})
+    monkeypatch.setattr(newton, "_constructors", lambda device: newton.CONSTRUCTORS)
+    monkeypatch.setattr(newton, "time_warp", timed)
+    case = cases.peer_cases(False, quick=True)[0]
+    scene = case.build()
+    for _ in range(2):
+        session = SensorCamera().open(case, scene, case.cameras(scene), CPU)
+        assert session.model is newton._kept[base.geometry_of(scene).digest, "cpu", "sah"]
+    assert built == [None, "sah", "cubql"] and "sah tree on cpu" in SensorCamera().version()
+
+
 @pytest.mark.skipif(OpenGL().available(CPU) is not None, reason="no OpenGL on the CPU")
 def test_opengl_lights_as_we_do():
     """Where nothing is tone mapped away, forward shading and ours are the same picture but for rounding."""
-    case = next(c for c in cases.peer_cases(quick=True) if c.kind == "frame")
+    case = next(c for c in cases.peer_cases(False, quick=True) if c.kind == "frame")
     scene = case.build()
     scene.lights.point.intensity = 0.05 * scene.lights.point.intensity
     scene.lights.spot.intensity = 0.05 * scene.lights.spot.intensity
@@ -297,8 +323,11 @@ def made(**changes):
 
 def test_tables_say_who_wins_and_what_must_be_reached():
     text = peer_tables.peers_table(made())
-    assert "| Newton | 8.40 | 0.100 to 9.00 | 21.0 x | ≥ 20 x ✓ | 99.90% |" in text
+    assert "| Newton | 8.40 | 0.100 to 9.00 | 21.0 x | ≥ 20 x ✓ | 99.900% |" in text
     assert "faster than ours here: nowhere. Why." in text and "- pygfx: no module pygfx" in text
+    # Nearly all pixels are not all.
+    assert "| 99.999% |" in peer_tables.peers_table(made(**{"depth.agrees": 0.999999}))
+    assert "| everywhere |" in peer_tables.peers_table(made(**{"depth.agrees": 1.0}))
     lost = peer_tables.peers_table(made(ratio=0.5))
     assert "0.500 x, faster | ≥ 20 x ✗" in lost and "faster than ours here: terrain (0.500 x). Why." in lost
     assert "| terrain | **0.400** | 8.40 (21.0 x), ≥ 20 x ✓ |" in peer_tables.peers_overview(made())

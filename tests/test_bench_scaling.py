@@ -84,6 +84,7 @@ def test_axes_reach_as_far_as_is_promised():
         "pixels": (64**2, 16384**2),
         "views": (1, 1024),
     }
+    assert set(ends) == set(scaling_tables.REMARKS)
     for axis in scaling.AXES:
         for counts in axis.counts.values():
             assert list(counts) == sorted(set(counts)) and len(counts) >= scaling.FEWEST
@@ -156,4 +157,8 @@ def test_tables_tell_growth_and_what_was_skipped():
     }  # fmt: skip
     text = scaling_tables.scaling_table(made)
     assert "| triangles | 10 | 1 000 | 20.0 to 2,000 | n^1.00 from 10 on |" in text
-    assert "By pass: `shade` n^" in text and "- 10 triangles: why" in text and "**triangles**: one view." in text
+    assert (
+        "By pass: `shade` n^" in text
+        and "- 10 triangles: why" in text
+        and "**triangles**: one view. Passes after" in text
+    )

@@ -102,42 +102,66 @@ def add_spots(scene: Scene, count: int) -> None:
         )
 
 
-def peer_cases(*, quick: bool) -> tuple[PeerCase, ...]:
-    """List the cases; with `quick`, one of each kind at a tiny size."""
-    full = {"1080p": (1920, 1080), "4k": (3840, 2160)}
-    n = 500_000
-    if quick:
-        full, n = {"quick": (96, 64)}, 2000
-    first = next(iter(full.items()))
-    text = f"terrain, {n // 1000} k triangles"
-    cases = [PeerCase(f"gbuffer_{name}", "gbuffer", f"{text}, {w}x{h}", w, h, n) for name, (w, h) in full.items()]
-    views, side = (3, 32) if quick else (64, 256)
-    cases.append(
-        PeerCase(f"gbuffer_views_{views}", "gbuffer", f"{text}, {views} views of {side}x{side}", side, side, n, views)
-    )
-    name, (w, h) = first
-    for lights in (5,) if quick else (1, 16, 200, 1000):
-        what = f"{lights} light{'s' * (lights > 1)}"
-        cases.append(PeerCase(f"lit_{lights}", "lit", f"{text}, {what}, {w}x{h}", w, h, n, lights=lights))
-    for casting in (2,) if quick else (1, 4, 16):
-        what = f"{casting} shadowed light{'s' * (casting > 1)}"
-        cases.append(PeerCase(f"shadowed_{casting}", "shadowed", f"{text}, {what}, {w}x{h}", w, h, n, shadowed=casting))
-    lights, casting = (5, 1) if quick else (1000, 4)
-    for name, (w, h) in full.items():
-        what = f"{lights} lights and {casting} shadowed"
-        cases.append(
-            PeerCase(f"frame_{name}", "frame", f"{text}, {what}, {w}x{h}", w, h, n, lights=lights, shadowed=casting)
-        )
-    return tuple(dataclasses.replace(case, map_size=128) if quick else case for case in cases)
+@dataclasses.dataclass(frozen=True)
+class _Sizes:
+    """Numbers of the cases on one kind of device; see `PeerCase`."""
+
+    sizes: dict[str, tuple[int, int]]
+    triangles: int
+    views: tuple[int, int]  # how many, and their side [px]
+    lights: tuple[int, ...]
+    shadowed: tuple[int, ...]
+    whole: tuple[int, int]  # lights and shadowed lights of a whole frame
+    map_size: int
 
 
-def narrowed(only: str, *, quick: bool) -> list[PeerCase]:
+_SIZES = {
+    "cuda": _Sizes(
+        {"1080p": (1920, 1080), "4k": (3840, 2160)}, 500_000, (64, 256), (1, 16, 200, 1000), (1, 4, 16), (1000, 4), 1024
+    ),
+    "cpu": _Sizes({"360p": (640, 360)}, 20_000, (4, 128), (1, 16, 200), (1, 4), (200, 1), 512),
+    "quick": _Sizes({"quick": (96, 64)}, 2000, (3, 32), (5,), (2,), (5, 1), 128),
+}
+
+
+def peer_cases(device_is_cuda: bool, *, quick: bool = False) -> tuple[PeerCase, ...]:
+    """List the cases of a kind of device; with `quick`, one of each kind at a tiny size."""
+    of = _SIZES["quick" if quick else "cuda" if device_is_cuda else "cpu"]
+    text = f"terrain, {of.triangles // 1000} k triangles"
+    shared = {"triangles": of.triangles, "map_size": of.map_size}
+
+    def case(name: str, kind: str, what: str, size: tuple[int, int], **numbers: int) -> PeerCase:
+        title = ", ".join(part for part in (text, what) if part)
+        return PeerCase(f"{kind}_{name}", kind, title, *size, **shared, **numbers)
+
+    first = next(iter(of.sizes.values()))
+    views, side = of.views
+    cases = [case(name, "gbuffer", "{}x{}".format(*size), size) for name, size in of.sizes.items()]
+    cases.append(case(f"views_{views}", "gbuffer", f"{views} views of {side}x{side}", (side, side), views=views))
+    screen = "{}x{}".format(*first)
+    for lights in of.lights:
+        cases.append(case(str(lights), "lit", f"{_counted(lights, 'light')}, {screen}", first, lights=lights))
+    for casting in of.shadowed:
+        what = f"{_counted(casting, 'shadowed light')}, {screen}"
+        cases.append(case(str(casting), "shadowed", what, first, shadowed=casting))
+    lights, casting = of.whole
+    for name, size in of.sizes.items():
+        what = f"{lights} lights and {casting} shadowed, " + "{}x{}".format(*size)
+        cases.append(case(name, "frame", what, size, lights=lights, shadowed=casting))
+    return tuple(cases)
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'s' * (count > 1)}"
+
+
+def narrowed(only: str, device_is_cuda: bool, *, quick: bool) -> list[PeerCase]:
     """List the cases with `only` in their names; all of them if it is empty.
 
     Raises:
         InputError: If there is none.
     """
-    cases = peer_cases(quick=quick)
+    cases = peer_cases(device_is_cuda, quick=quick)
     chosen = [case for case in cases if only in case.name]
     if not chosen:
         raise input_error("--only", f"a part of one of {', '.join(case.name for case in cases)}", only)

@@ -75,9 +75,11 @@ def run(
             present.append(peer)
     result["peers"] = [_told(peer) for peer in (*OURS, *present)]
     repeats = QUICK_REPEATS if quick else REPEATS
-    for case in narrowed(only, quick=quick):
+    for case in narrowed(only, device.is_cuda, quick=quick):
         note(case.title)
         result["rows"] += _case(case, present, device, settings, repeats, Path(images) if images else None, skip)
+        # Once it has run, a peer may know more of itself.
+        result["peers"] = [_told(peer) for peer in (*OURS, *present)]
         if keep:
             keep(result)
     return result

@@ -6,6 +6,7 @@ sensor's render context. Written against newton 1.8.0.
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import importlib.util
 import warnings
@@ -24,9 +25,15 @@ __all__ = ["SensorCamera", "SensorTiledCamera"]
 
 #: Numbers of light types in Newton's kernels; what is neither spot nor directional shines everywhere.
 SPOT, POINT = 0, 2
-#: Models that are kept: the terrain of the G-buffers and that of all other cases.
-KEPT = 2
-_kept: dict[tuple[str, str], Any] = {}
+#: Models that are kept: the terrain of the G-buffers, with every kind of tree, and that of all other cases.
+KEPT = 4
+_kept: dict[tuple[str, str, str | None], Any] = {}
+#: Device -> way to build the tree that is searched fastest.
+_fastest: dict[str, str | None] = {}
+#: Ways to build the tree of a mesh, the builder's default first; the fastest to search is taken.
+CONSTRUCTORS = (None, "sah", "cubql")
+#: Measurements for that choice.
+TRIALS = 5
 #: Images of a G-buffer.
 GBUFFER = ("forward_depth", "normal", "albedo", "shape_index")
 
@@ -49,8 +56,9 @@ class _Newton:
         return None
 
     def version(self) -> str:
-        """Version of the package."""
-        return f"newton {importlib.metadata.version('newton')}"
+        """Version of the package, and the kinds of trees that were searched fastest."""
+        trees = "".join(f", {kind or 'default'} tree on {device}" for device, kind in _fastest.items())
+        return f"newton {importlib.metadata.version('newton')}{trees}"
 
 
 class SensorTiledCamera(_Newton):
@@ -61,7 +69,7 @@ class SensorTiledCamera(_Newton):
     computes = (
         "one primary ray a pixel; depth, interpolated normal, albedo and shape index, or the shaded picture in 8 bits; "
         "Lambert under all lights, looped over at each pixel; one shadow ray a light and pixel; hemispheric ambient "
-        "light. The tree is the one its builder makes by default, pixels go in tiles of 8x8"
+        "light. Of the trees that Warp builds, the one that is searched fastest; pixels go in tiles of 8x8"
     )
     leaves_out = (
         "colour, intensity and range of lights (attenuation is 1 / (1 + 0.02 d²), so that no light can be left out "
@@ -90,12 +98,12 @@ class SensorCamera(_Newton):
         return _CameraSession(case, scene, cameras, device)
 
 
-def _model(scene: Scene, device: wp.Device) -> Any:
+def _model(scene: Scene, device: wp.Device, constructor: str | None = None) -> Any:
     """Newton's model of the scene: one static mesh; the last ones are kept, since to finalize one takes seconds."""
     import newton
 
     geometry = geometry_of(scene)
-    key = (geometry.digest, str(device))
+    key = (geometry.digest, str(device), constructor)
     if key not in _kept:
         while len(_kept) >= KEPT:
             _kept.pop(next(iter(_kept)))
@@ -104,9 +112,15 @@ def _model(scene: Scene, device: wp.Device) -> Any:
             is_solid=False,
         )  # fmt: skip
         builder = newton.ModelBuilder(up_axis="Y")
+        builder.default_bvh_cfg.mesh_constructor = constructor
         builder.add_shape_mesh(-1, mesh=mesh, color=tuple(srgb(geometry.albedo) / 255.0))
         _kept[key] = builder.finalize(device=device)
     return _kept[key]
+
+
+def _constructors(device: wp.Device) -> tuple[str | None, ...]:
+    """Kinds of trees that are tried: all on CUDA, the default alone on the CPU."""
+    return CONSTRUCTORS if device.is_cuda else CONSTRUCTORS[:1]
 
 
 def _lights(scene: Scene, device: wp.Device) -> dict[str, Any]:
@@ -139,13 +153,35 @@ class _NewtonSession:
     note = ""
 
     def __init__(self, case: PeerCase, scene: Scene, cameras: list[Camera], device: wp.Device) -> None:
-        self.case, self.device = case, device
-        self.model = _model(scene, device)
-        self.state = self.model.state()
+        self.case, self.device, self.inputs = case, device, (scene, cameras)
         self.lit = case.kind != "gbuffer"
         self.config = {"render_order": 2, "tile_width": 8, "tile_height": 8, "enable_shadows": case.shadowed > 0}
-        self._open(scene, cameras)
+        self._build(_fastest[str(device)] if str(device) in _fastest else self._choose())
         self.images = {name: self._image(name) for name in (("color",) if self.lit else GBUFFER)}
+
+    def _build(self, constructor: str | None) -> None:
+        self.model = _model(self.inputs[0], self.device, constructor)
+        self.state = self.model.state()
+        self._open(*self.inputs)
+
+    def _choose(self) -> str | None:
+        """Time a G-buffer with each kind of tree, once a device, and keep the fastest."""
+        times: dict[str | None, float] = {}
+        choices = _constructors(self.device)
+        for constructor in choices if len(choices) > 1 else ():
+            try:
+                self._build(constructor)
+                images, plain = {name: self._image(name) for name in GBUFFER}, self._plain()
+                run = functools.partial(self._update, images, plain)
+                times[constructor] = time_warp(self, self.device, run, TRIALS).median
+            except Exception:  # whatever it is: a kind of tree that this version or device has not
+                continue
+        _fastest[str(self.device)] = min(times, key=times.get) if times else None
+        return _fastest[str(self.device)]
+
+    def _plain(self) -> Any:
+        """Settings without shadows: those of a G-buffer, whose kernel they share."""
+        return self.sensor.RenderConfig(**self.config | {"enable_shadows": False})
 
     def _open(self, scene: Scene, cameras: list[Camera]) -> None:
         raise NotImplementedError
@@ -165,7 +201,7 @@ class _NewtonSession:
     def depth(self) -> np.ndarray | None:
         """Depth along the camera's axis; by the G-buffer's kernel, which is compiled already, in a lit case, too."""
         images = {name: self._image(name) for name in GBUFFER}
-        self._update(images, self.sensor.RenderConfig(**self.config | {"enable_shadows": False}))
+        self._update(images, self._plain())
         depth = self._views(images["forward_depth"])
         return np.where(self._views(images["shape_index"]) == 0xFFFFFFFF, np.inf, depth).astype(np.float32)
 
@@ -182,7 +218,7 @@ class _NewtonSession:
 
     def close(self) -> None:
         """Drop model and sensor."""
-        self.model = self.state = self.sensor = None
+        self.model = self.state = self.sensor = self.inputs = None
         self.images = {}
 
 

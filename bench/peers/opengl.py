@@ -61,9 +61,10 @@ class OpenGL:
     title = "OpenGL (moderngl, EGL)"
     kinds = tuple(KINDS)
     computes = (
-        "clear, then a G-buffer of 16 bytes a pixel (float32 depth, oct24 normal, albedo, four more bytes); or forward "
-        "shading of the same lights with the same formulas, all of them looped over at each fragment, after a depth "
-        "pass from 4 lights on; shadow maps of the same size, drawn anew, 9 bilinear taps over 4x4 texels; sRGB"
+        "clear, then a G-buffer of 16 bytes a pixel (a depth buffer of 24 bits, three targets of 4 bytes: normal in 8 "
+        "bits an axis, albedo, and the rest); or forward shading of the same lights with the same formulas, all of "
+        "them looped over at each fragment, after a depth pass from 4 lights on; shadow maps of the same size, drawn "
+        "anew, 9 bilinear taps over 4x4 texels; sRGB"
     )
     leaves_out = (
         "culling of triangles and of lights; ids, specular reflection, tone curve; coverage and depth are whatever the "
@@ -71,7 +72,9 @@ class OpenGL:
     )
     method = "GL_TIME_ELAPSED queries, queued without waiting between them; wall-clock time where it draws on the CPU"
     wins = (
-        "One light, or a few, shaded in the same draw that finds the surface, needs no G-buffer at all; and hardware "
+        "Only two TPCs of an H100, whose chip the H200 has, run vertex and fragment shaders at all (NVIDIA H100 Tensor "
+        "Core GPU Architecture, white paper), so that ratios from these cards say little of a graphics card. There, "
+        "one light, or a few, shaded in the same draw that finds the surface, needs no G-buffer at all; and hardware "
         "interpolates, blends and compares depths in units of its own, so that overdraw by large triangles is cheap."
     )
 
@@ -135,8 +138,7 @@ class _OpenGLSession:
         return self._keep(self.context.vertex_array(program, content, index_buffer=self.indices))
 
     def _open_gbuffer(self) -> None:
-        formats = ((1, "f4"), (4, "f1"), (4, "f1"), (4, "f1"))
-        self.images = [self._keep(self.context.texture(self.size, n, dtype=dtype)) for n, dtype in formats]
+        self.images = [self._keep(self.context.texture(self.size, 4)) for _ in range(3)]
         self.target = self._keep(self.context.framebuffer(self.images, self.depth_map))
         self.shaded = self._draws(shaders.GBUFFER_FRAGMENT, normals=True)
         self.shaded.program["albedo"] = self.albedo
@@ -225,12 +227,9 @@ class _OpenGLSession:
         return rows.reshape(-1, height, width, *image.shape[2:])[: self.case.views, ::-1]
 
     def depth(self) -> np.ndarray | None:
-        """The G-buffer's depth; of forward shading the depth buffer's, 24 bits of z/w, made linear."""
+        """The depth buffer's, 24 bits of z/w, made linear."""
         self.frame()
-        image = self.images[0] if self.case.kind == "gbuffer" else self.depth_map
-        depth = self._views(np.frombuffer(image.read(), np.float32).reshape(self.size[::-1]))
-        if self.case.kind == "gbuffer":
-            return np.where(depth == 0.0, np.float32(np.inf), depth)
+        depth = self._views(np.frombuffer(self.depth_map.read(), np.float32).reshape(self.size[::-1]))
         slope, offset = self.projection[2, 2:]
         return np.where(depth < 1.0, offset / (2.0 * depth - 1.0 + slope), np.inf).astype(np.float32)
 

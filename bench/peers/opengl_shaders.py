@@ -16,34 +16,25 @@ in vec3 position;
 in vec3 normal;
 out vec3 at;
 out vec3 upright;
-out float depth;
 invariant gl_Position;
 void main() {
     vec4 seen = view * vec4(position, 1.0);
     at = position;
     upright = normal;
-    depth = -seen.z;
     gl_Position = projection * seen;
 }
 """
 
-#: Depth, oct24 normal and model, albedo and roughness, four more bytes: 16 bytes a pixel.
+#: Normal and model, albedo and roughness, four more bytes; with the depth buffer 16 bytes a pixel. No packing that
+#: takes arithmetic: data-centre cards have few units for it.
 GBUFFER_FRAGMENT = """#version 430
 uniform vec3 albedo;
 in vec3 upright;
-in float depth;
-layout(location = 0) out float out_depth;
-layout(location = 1) out vec4 out_normal;
-layout(location = 2) out vec4 out_albedo;
-layout(location = 3) out vec4 out_rest;
+layout(location = 0) out vec4 out_normal;
+layout(location = 1) out vec4 out_albedo;
+layout(location = 2) out vec4 out_rest;
 void main() {
-    vec3 n = normalize(upright);
-    vec2 e = n.xy / (abs(n.x) + abs(n.y) + abs(n.z));
-    if (n.z < 0.0) e = (1.0 - abs(e.yx)) * vec2(e.x < 0.0 ? -1.0 : 1.0, e.y < 0.0 ? -1.0 : 1.0);
-    uvec2 c = uvec2(round((e * 0.5 + 0.5) * 4095.0));
-    uvec3 bytes = uvec3(c.x & 255u, (c.x >> 8) | ((c.y & 15u) << 4), c.y >> 4);
-    out_depth = depth;
-    out_normal = vec4(vec3(bytes) / 255.0, 2.0 / 255.0);
+    out_normal = vec4(normalize(upright) * 0.5 + 0.5, 2.0 / 255.0);
     out_albedo = vec4(albedo, 1.0);
     out_rest = vec4(0.0, 1.0, 0.0, 0.0);
 }

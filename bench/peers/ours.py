@@ -119,8 +119,8 @@ OURS = (
         "ours",
         "ours",
         tuple(kind for kind in KINDS if kind != "gbuffer"),
-        "the whole frame from clear to `display`: G-buffer, lights culled by tile, shading, shadow maps of 1024x1024 "
-        "drawn anew and filtered over 4x4 texels, exposure, tone curve, sRGB",
+        "the whole frame from clear to `display`: G-buffer, lights culled by tile, shading, shadow maps (1024x1024 on "
+        "CUDA, 512x512 on the CPU) drawn anew and filtered over 4x4 texels, exposure, tone curve, sRGB",
     ),
     Ours(
         "ours_kept",
