@@ -173,7 +173,8 @@ def _code(text: str) -> str:
 def page() -> str:
     """The whole page."""
     stored, tests, names = results(), proofs(), sections()
-    lines = [INTRODUCTION]
+    lines = [INTRODUCTION + tomllib.loads(TABLE.read_text())["introduction"]]
+    lines += ["## Cases", ""]
     lines += [f"- {d.upper()}: {stored[d]['on'] or 'no run recorded'}" for d in DEVICES]
     listed = rows()
     apart = [r for r in listed if r.missing]
