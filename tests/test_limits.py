@@ -72,7 +72,9 @@ def test_e7_pairs_of_views_and_instances_past_an_array_are_refused(device, monke
     scene = lit_box()
     for k in range(15):
         scene.add(scene.instances[0].mesh, transform=tilt(move=(0.0, 0.0, -1.0 * k)))
-    renderer = wd.Renderer(scene, width=1, height=1, device=device, outputs=("depth",))
+    # The store of large triangles has a capacity of its own.
+    settings = wd.Settings().with_values(["raster.bins=off"])
+    renderer = wd.Renderer(scene, width=1, height=1, device=device, outputs=("depth",), settings=settings)
     monkeypatch.setattr(plan_module, "MAX_ELEMENTS", 64)
     assert renderer.render([scene.camera] * 4).numpy("depth").shape == (4, 1, 1)
     with (
