@@ -37,6 +37,7 @@ Made by `python -m tests.stability_page`; edit `tests/hard_cases.toml`, not this
 
 What makes renderers fail, and what must come out here. A test's name begins with the id of its case. Numbers are those
 of test cases that passed in the last recorded run on a device; tests that need no device count as CPU.
+
 """
 
 
@@ -130,9 +131,8 @@ def take_in(files: Iterable[Path]) -> None:
 
 def write_results(kept: dict) -> None:
     """Store results, one test a line."""
-    RESULTS.write_text(
-        json.dumps(kept, indent=1, sort_keys=True).replace("[\n    ", "[").replace(",\n    ", ", ") + "\n"
-    )
+    text = json.dumps(kept, indent=1, sort_keys=True)
+    RESULTS.write_text(re.sub(r"\[\s+(\d+),\s+(\d+)\s+\]", r"[\1, \2]", text) + "\n")
 
 
 def _counts(suite: ElementTree.Element, known: dict[str, tuple[str, ...]]) -> dict[tuple[str, str], list[int]]:
@@ -173,7 +173,8 @@ def _code(text: str) -> str:
 def page() -> str:
     """The whole page."""
     stored, tests, names = results(), proofs(), sections()
-    lines = [INTRODUCTION]
+    lines = [INTRODUCTION + tomllib.loads(TABLE.read_text())["introduction"]]
+    lines += ["## Cases", ""]
     lines += [f"- {d.upper()}: {stored[d]['on'] or 'no run recorded'}" for d in DEVICES]
     listed = rows()
     apart = [r for r in listed if r.missing]

@@ -1,11 +1,14 @@
 """What cannot be rendered is refused in the package's own words, before memory is spent; what can be extreme, works."""
 
+import types
+from functools import partial
+
 import numpy as np
 import pytest
 from builders import FULL, Spy, assert_same, box, gallery, grid, images, tilt
 
 import warp_deferred as wd
-from warp_deferred import device_scene, light_store
+from warp_deferred import device_scene, light_store, memory
 from warp_deferred import plan as plan_module
 from warp_deferred.plan import PASSES
 
@@ -252,6 +255,12 @@ def test_e7_a_buffer_past_what_an_array_holds_is_refused_before_memory_is_spent(
     assert not spy.allocated
 
 
+def fitting(views, share):
+    request = types.SimpleNamespace(cameras=views)
+    layout = types.SimpleNamespace(sizes=[types.SimpleNamespace(width=8, height=8)])
+    return plan_module.Plan._fitting(types.SimpleNamespace(request=request, layout=layout), share)
+
+
 def test_memory_that_runs_out_is_told_with_what_was_wanted(monkeypatch):
     scene = simple()
     renderer = wd.Renderer(scene, width=8, height=8, device="cpu", outputs=("depth",))
@@ -262,6 +271,16 @@ def test_memory_that_runs_out_is_told_with_what_was_wanted(monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(plan_module.wp, "zeros", refuse)
-        with pytest.raises(wd.CapacityError, match=r"frame: expected 0\.\d\d GB of memory on cpu, got less; render"):
+        with pytest.raises(wd.CapacityError, match=r"frame: expected 0\.\d\d GB of memory on cpu, got .*; render"):
             renderer.render([scene.camera, scene.camera])
+        # Where it is known that less is free than the frame takes, the message says what would fit.
+        for share, views, words in (
+            (0.7, 3, r"2 of these 3 views would about fit"),
+            (0.05, 4, r"one view of 3x3 would about fit"),
+        ):
+            size = renderer.plan.bytes * views
+            patch.setattr(memory, "_free_bytes", lambda device, free=share * size / 0.9: int(free))
+            with pytest.raises(wd.CapacityError, match=rf"GB free; {words}: render smaller"):
+                with memory.enough_memory("frame", size, renderer.device, "render smaller", partial(fitting, views)):
+                    refuse()
     assert np.array_equal(renderer.render().numpy("depth"), before), "the renderer stays usable"

@@ -141,3 +141,18 @@ def test_background_of_the_scene_is_kept():
     scene.environment = wd.Environment(background=(0.5, 0.6, 0.7))
     light_if_dark(scene)
     assert scene.environment.background == (0.5, 0.6, 0.7)
+
+
+def test_a_face_towards_the_eye_is_seen_from_a_distance():
+    # All but on one line towards the eye: the nearest eye that sees all of it would be at its nearest corner.
+    scene = wd.Scene()
+    scene.add(wd.Mesh([[1, 0.25, 0], [0, 1, 0], [0, 1, 0], [1, 1, 1], [0.5, 0.25, 0]], [[3, 1, 4]]))
+    back = np.array(frame_camera(wd.Scene()).rotation).reshape(3, 3)[2]
+    for scale in (1.0, 2.0**100, 2.0**-100):
+        line = wd.Scene()
+        points = np.array([[0, 0, 0], back, 0.5 * back]) * scale
+        line.add(wd.Mesh(points.astype(np.float32), [[0, 1, 2]]))
+        camera = frame_camera(line)
+        depth = project(camera, points, 1.0)[2]
+        assert camera.near > 0.0 and (depth > camera.near).all() and depth.min() > 0.4 * scale
+    assert frame_camera(scene).near > 0.0

@@ -25,6 +25,15 @@ def loader():
     loader.stop()
 
 
+@pytest.fixture(scope="module")
+def small_loader():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fuzz, "BYTES", 200 << 20)
+        loader = Loader()
+        yield loader
+        loader.stop()
+
+
 def bomb(side: int) -> bytes:
     """A PNG of one colour: a thousandth of its pixels' size."""
 
@@ -87,6 +96,29 @@ def test_files_that_promise_too_much_take_little_time_and_memory(name, loader, t
     path.write_bytes((PROMISES | BOUNDED)[name]())
     outcome, seconds = loader.load(path)
     assert outcome == ("refused" if name in PROMISES else "loaded"), (outcome, seconds)
+
+
+def graph(children: list[list[int]], **fields) -> bytes:
+    """A document of nodes that each show a mesh and have these children."""
+    document, data = gltf_document()
+    nodes = [{"mesh": 0} | ({"children": found} if found else {}) for found in children]
+    return fuzz.glb(document | {"nodes": nodes, "scenes": [{"nodes": [0]}]} | fields, data)
+
+
+GRAPHS = {
+    "cycle": ("refused", lambda: graph([[1], [2], [0]])),
+    "own child": ("refused", lambda: graph([[0]])),
+    "shared children": ("refused", lambda: graph([[k + 1, k + 1] for k in range(26)] + [[]])),
+    "two parents": ("loaded", lambda: graph([[1, 2], [3], [3], []])),
+    "chain": ("loaded", lambda: graph([[k + 1] for k in range(4999)] + [[]])),
+}
+
+
+@pytest.mark.parametrize("name", GRAPHS)
+def test_l14_node_graphs_take_2_s_and_200_mb_at_most(name, small_loader, tmp_path):
+    path = tmp_path / "a.glb"
+    path.write_bytes(GRAPHS[name][1]())
+    assert small_loader.load(path)[0] == GRAPHS[name][0]
 
 
 def test_an_image_that_unpacks_to_a_thousand_times_its_size_is_left_out(tmp_path):

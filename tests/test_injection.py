@@ -11,7 +11,10 @@ from builders import gallery, tilt
 import warp_deferred as wd
 from warp_deferred.passes.image import all_reads
 
-BAD = np.array([np.nan, np.inf, -np.inf, 3e38, -3e38, 65504.0, 1e-45, -1.0, 0.0], np.float32)
+#: Ends of ranges, subnormal numbers, infinities, NaN of several kinds, each with both signs.
+BITS = np.array([0, 0x3F800000, 0x00800000, 1, 0x7F7FFFFF, 0x7F800000, 0x34000000, 0x7FC00000, 0x7FAAAAAA], np.uint32)
+BAD = np.concatenate([(BITS | sign).view(np.float32) for sign in (np.uint32(0), np.uint32(0x80000000))])
+BAD = np.concatenate([BAD, np.float32([65504.0, 65520.0, 3e38, -3e38])])
 SIZE = (48, 36)
 
 #: Settings of plans that together have every pass, and most of their rungs.

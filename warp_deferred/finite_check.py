@@ -31,6 +31,10 @@ INFINITE = frozenset(
 NO_NUMBERS = frozenset({"shadow_bounds", "keys", "slice_keys"})
 
 
+#: Channels a plan can have looked at; ours write some dozens.
+SLOTS = 1024
+
+
 class FiniteCheck:
     """Looks at what the passes of one plan write; a slot for each pass and channel, in the order they run.
 
@@ -42,11 +46,10 @@ class FiniteCheck:
     def __init__(self, request: Request, resources: Resources) -> None:
         self._resources, self._whole = resources, not request.share_memory
         self._names: list[tuple[str, str]] = []
-        # A plan writes some dozens of channels.
-        self._first = wp.zeros(1024, dtype=wp.int64, device=resources.device)
-        self._values = wp.zeros(1024, dtype=wp.float32, device=resources.device)
+        self._first = wp.zeros(SLOTS, dtype=wp.int64, device=resources.device)
+        self._values = wp.zeros(SLOTS, dtype=wp.float32, device=resources.device)
         # Reading back allocates nothing, so that frames that must not allocate can be looked at as well.
-        self._host = wp.zeros(1024, dtype=wp.int64, device="cpu", pinned=resources.device.is_cuda)
+        self._host = wp.zeros(SLOTS, dtype=wp.int64, device="cpu", pinned=resources.device.is_cuda)
 
     def add(self, stage: Pass) -> None:
         """Add launches that look at what a pass has written, to the section of that pass."""
@@ -56,6 +59,8 @@ class FiniteCheck:
             if rows is None:
                 continue
             slot = len(self._names)
+            if slot == SLOTS:
+                raise Error(f"check_finite: expected at most {SLOTS} channels, got more; turn it off for this plan")
             self._names.append((stage.name, name))
             look, keep = kernels.make_finite_check_kernels(rows.dtype == wp.float16)
             infinite = int(name in INFINITE)

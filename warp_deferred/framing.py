@@ -59,6 +59,9 @@ def frame_camera(scene: Scene, *, aspect: float = 16.0 / 9.0) -> Camera:
     a, distance_x = _nearest(x, z, tangent * aspect)
     b, distance_y = _nearest(y, z, tangent)
     distance = max(distance_x, distance_y)
+    if not float(z.min() + distance) > 1e-6 * size:
+        # A face seen edge-on, or all but a point: the nearest eye would touch it.
+        distance = size - float(z.min())
     eye = middle + right * a + up * b + back * distance
     near = min(1e-3 * distance, 0.5 * float(z.min() + distance))
     return Camera.look_at(eye, eye - back * distance, vertical_fov_deg=VERTICAL_FOV_DEG, near=near, name="framed")

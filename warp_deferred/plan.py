@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import statistics
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -93,7 +94,8 @@ class Plan:
         self.memory = self._places.sizes
         self.bytes = self._places.total + sum(self.memory[name] for name in request.outputs)
         # Nothing is allocated before this line: what cannot be held has been refused.
-        with enough_memory("frame", self.bytes, scene.device, "render smaller or fewer views, or fewer outputs"):
+        mend = "render smaller or fewer views, or fewer outputs"
+        with enough_memory("frame", self.bytes, scene.device, mend, self._fitting):
             program = Program(scene.device, request.threads, self.replays)
             self.resources = Resources.make(scene, lights(), self.layout, program, request.shadow_slots)
             self._allocate()
@@ -134,6 +136,14 @@ class Plan:
                 f"{stage.name}.active: expected at most {MAX_ACTIVE} passes with a condition on the device, got "
                 f"{', '.join(conditions)}; decide on the host, or in the kernel itself"
             )
+
+    def _fitting(self, share: float) -> str:
+        """What would fit in a share of the frame's memory: fewer views, or a smaller one."""
+        size, views = self.layout.sizes[0], self.request.cameras
+        if int(views * share) >= 1:
+            return f"{int(views * share)} of these {views} views"
+        side = math.sqrt(views * share)
+        return f"one view of {max(1, int(size.width * side))}x{max(1, int(size.height * side))}"
 
     def _check_counts(self) -> None:
         for stage in self.passes:
