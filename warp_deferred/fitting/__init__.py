@@ -164,6 +164,7 @@ def _account(chooser: Chooser, survey: Survey, chosen: Verified, date: str, seco
         reference=survey.reference(),
         scene=f"{renderer.scene.name or 'scene'} at {views}{renderer.width}x{renderer.height} on {name}",
         seconds=seconds - probe.compile_s,
+        load_seconds=probe.load_s,
         cold_seconds=probe.compile_s,
         compiled=probe.compiled,
         plans=probe.plans,
