@@ -27,6 +27,8 @@ __all__ = ["Progress", "Survey", "Surveyor"]
 
 #: Called with (what is measured, done, about how many in all).
 Progress = Callable[[str, int, int], Any]
+#: On the CPU no reference takes longer than so many base frames: small pictures are done at once.
+CPU_FRAMES = 150
 #: Most that a reference may take, on CUDA and on the CPU: samples of the pixel, rays of a ladder, all together [ms].
 ALLOWED_MS = {"samples": (400.0, 10_000.0), "rays": (150.0, 3_000.0), "whole": (600.0, 15_000.0)}
 #: A frame of the grid is measured up to so many times the budget, and on CUDA whenever it takes less than this [ms].
@@ -271,6 +273,11 @@ class Surveyor:
         rays_ms = (ms - self.base_ms) / self._weight(ladder) - without
         return Offer(rung.name, without + rays_ms * wanted / counts[ladder.name], 0.0, estimated=True)
 
+    def _limit_ms(self, kind: str) -> float:
+        """Most that a reference may take [ms]."""
+        cuda, cpu = ALLOWED_MS[kind]
+        return cuda if self.cuda else min(cpu, CPU_FRAMES * self.base_ms)
+
     def _settled(self, ms: float) -> float:
         """A frame's time, or the base frame's where the difference drowns in the spread."""
         return ms if abs(ms - self.base_ms) > self.noise_ms else self.base_ms
@@ -278,7 +285,7 @@ class Surveyor:
     def _refine(self, ladder: Ladder, rung: Rung, counts: dict[str, int], reference_ms: dict[str, float]) -> None:
         """Take more rays where the time allowed buys them, fewer where it does not buy these."""
         count, ms = counts[ladder.name], reference_ms[ladder.name]
-        limit = ALLOWED_MS["rays"][not self.cuda]
+        limit = self._limit_ms("rays")
         wanted = next((n for n in COUNTS if ms * n / count <= limit), COUNTS[-1])
         if wanted != count:
             counts[ladder.name] = wanted
@@ -289,7 +296,7 @@ class Surveyor:
         """Most samples a pixel, by quarters, that the time allowed buys; those held where they are."""
         if "anti_aliasing" in self.fixed and not self._takes_samples():
             return self.base_samples
-        limit = ALLOWED_MS[kind][not self.cuda]
+        limit = self._limit_ms(kind)
         while most > 4 and most * ms > limit:
             most //= 4
         return most
@@ -341,7 +348,7 @@ class Surveyor:
         self, grid: Grid, samples: int, counts: dict[str, int], reference_ms: dict[str, float]
     ) -> tuple[int, dict[str, int]]:
         """How many samples and rays the picture may take in which all references stand together."""
-        limit, chosen = ALLOWED_MS["whole"][not self.cuda], dict(counts)
+        limit, chosen = self._limit_ms("whole"), dict(counts)
 
         def total() -> float:
             extra = sum((ms - self.base_ms) * chosen.get(name, 1) / counts.get(name, 1)
