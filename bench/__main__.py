@@ -60,7 +60,10 @@ def _measure(
 
     # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
     wp.config.log_level = wp.LOG_WARNING
-    changes = [*(SPINE if name not in ("effects", "effect_images", "accuracy") else ()), *(sets or ())]
+    changes = [
+        *(SPINE if name not in ("effects", "effect_images", "accuracy", "fit", "presets") else ()),
+        *(sets or ()),
+    ]
     settings = Settings().with_values(changes)
     try:
         chosen = wp.get_device(device)
@@ -300,6 +303,12 @@ def report(
         typer.echo(f"{'out of date: ' if check else 'wrote '}{path}")
     if check and changed:
         raise typer.Exit(1)
+
+
+@app.command()
+def fit(device: Device = "cuda:0", json: Json = None, quick: Quick = False, set_: Sets = None) -> None:
+    """How long a fit takes, whether its choice keeps the budget, and how near it is to the best there is."""
+    _bench("fit", device, json, None, quick, set_)
 
 
 @app.command()

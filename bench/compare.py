@@ -27,6 +27,7 @@ NAMES = {
     "frame": ("case",), "triangles": ("case",), "lights": ("lights", "mean"), "host": ("case", "figure"),
     "tiles": ("resolution", "lights", "tile_size"), "effects": ("kind", "case", "rung"),
     "accuracy": ("ladder", "scene", "rung"), "peers": ("case", "peer"), "scaling": ("axis", "n"),
+    "fit": ("scene", "budget_ms"), "presets": ("preset", "scene"),
 }  # fmt: skip
 #: Fields that make a row another case if they differ.
 INPUTS = ("width", "height", "triangles", "lights", "source", "settings")

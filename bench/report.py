@@ -62,6 +62,20 @@ SECTIONS = {
         "Growth",
         "One thing varied, the rest fixed; every point and every pass is in [performance.md](performance.md).",
     ),
+    "presets": (
+        "Presets",
+        "Whole frames at each preset, and how far their pictures are from those of `reference`: RMSE and largest "
+        "difference of `display` in [0, 1], mean FLIP of its middle. Which rungs a preset takes, and what each costs "
+        "and leaves by itself, is told in `warp_deferred/presets.py`.",
+    ),
+    "fit": (
+        "Settings for a budget",
+        "`warp_deferred.fit` at several budgets, beside the best of every combination of rungs that the scene calls "
+        "for, each rendered and timed as the fit times frames. RMSE of `display` in [0, 1] against one picture whose "
+        "ladders trace more rays than the fit's own reference, in which the fit's own figure is taken. A combination "
+        "counts as possible where its median keeps the budget; a fit's choice must keep it in 19 of 20 frames of a "
+        "time interval it did not see.",
+    ),
     "host": (
         "Host time",
         "What a call of `render` costs the thread that makes it: no figure waits for the device inside the clock, and "
@@ -69,6 +83,8 @@ SECTIONS = {
         "of host or device, whichever is slower. On the CPU a call renders the frame.",
     ),
 }
+#: Benches whose tables say it all.
+PLOTLESS = ("presets", "fit")
 INTRODUCTION = """# Benchmarks
 
 Written by `python -m bench report` from `bench/results/*.json`; do not edit. The cases are frozen in `bench/cases.py`;
@@ -124,7 +140,7 @@ def run(root: Path, *, check: bool = False) -> list[Path]:
         path.write_bytes(texts[path].encode())
     from . import plots
 
-    parts = [(f"bench_{name}.png", result, "") for name, result in records.items()]
+    parts = [(f"bench_{name}.png", result, "") for name, result in records.items() if result["bench"] not in PLOTLESS]
     if accuracy:
         result = accuracy[chosen(accuracy)]
         parts += [(plot_name(ladder), result, ladder) for ladder in ladder_names(result)]
@@ -151,7 +167,8 @@ def _page(records: dict[str, record.Record]) -> str:
             parts.append(f"## {heading}{f' ({suffix})' if suffix else ''}")
             parts.append(text)
             parts.append(_shown(result))
-            parts.append(f"![{heading.lower()}](images/bench_{name}.png)")
+            if bench not in PLOTLESS:
+                parts.append(f"![{heading.lower()}](images/bench_{name}.png)")
             parts.append(f"Measured on {tables.provenance(result)}.")
     return "\n\n".join(parts) + "\n"
 

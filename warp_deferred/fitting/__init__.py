@@ -89,8 +89,10 @@ def fit(
     if "display" not in outputs:
         raise input_error("fit.outputs", "display among them", list(outputs), "errors are those of the picture")
     renderer = Renderer(scene, width=width, height=height, device=device, outputs=outputs, threads=threads)
-    settings = scene.settings if settings is None else settings
     renderer.settings = settings
+    settings = renderer.settings
+    if settings.preset != "none":
+        raise input_error("fit.settings.preset", "none", settings.preset, "a budget chooses every rung that is not set")
     cameras = renderer.cameras_of(camera)
     probe = Probe(renderer, cameras, check_range("fit.time_s", time_s, -1e9, 1e9, unit="s"))
     where = None if cache is False else kept.folder() if cache is True else Path(cache)
@@ -162,6 +164,7 @@ def _account(chooser: Chooser, survey: Survey, chosen: Verified, date: str, seco
         reference=survey.reference(),
         scene=f"{renderer.scene.name or 'scene'} at {views}{renderer.width}x{renderer.height} on {name}",
         seconds=seconds - probe.compile_s,
+        load_seconds=probe.load_s,
         cold_seconds=probe.compile_s,
         compiled=probe.compiled,
         plans=probe.plans,

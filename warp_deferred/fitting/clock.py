@@ -21,11 +21,11 @@ from ..program import Program
 __all__ = ["Spread", "frames", "replays", "warm_up"]
 
 #: Replays of a price: at least so many, then until so many milliseconds, and no more than so many.
-LEAST, ENOUGH_MS, MOST = 5, 10.0, 24
-#: A frame that takes longer than this is replayed once [ms].
-SLOW_MS = 300.0
-#: Copies that keep a device busy while the host queues a frame: a few milliseconds of them.
-BUSY_BYTES, BUSY_COPIES = 1 << 28, 24
+LEAST, ENOUGH_MS, MOST = 5, 6.0, 16
+#: A frame that takes longer than this is replayed once, on CUDA and on the CPU [ms].
+SLOW_MS = (20.0, 300.0)
+#: Copies that keep a device busy while the host queues a frame: a millisecond and a half of a fast card's.
+BUSY_BYTES, BUSY_COPIES = 1 << 28, 12
 #: Seconds until clocks have risen.
 WARM_UP_S = 0.15
 
@@ -71,11 +71,11 @@ def replays(program: Program) -> Spread:
     """Time a frame that was rendered before, by replaying it."""
     device = program.device
     once_ms = _once(program)
-    if once_ms > SLOW_MS:
+    if once_ms > SLOW_MS[device.is_cpu]:
         return Spread.of([once_ms])
     if device.is_cpu:
         values: list[float] = []
-        while len(values) < LEAST or (sum(values) < 10.0 * ENOUGH_MS and len(values) < MOST):
+        while len(values) < LEAST or (sum(values) < 20.0 * ENOUGH_MS and len(values) < MOST):
             values.append(_once(program))
         return Spread.of(values)
     count = int(min(MOST, max(LEAST, ENOUGH_MS / max(once_ms, 1e-3))))

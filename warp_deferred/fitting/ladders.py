@@ -3,7 +3,8 @@
 A rung costs time once a frame or in every sample of a pixel, which the ladder's `part` tells; rungs that take samples
 themselves say how many, and those of one frame are the same ones (a sample is a place in pixel, lens and shutter at
 once), so that the largest number counts. What is not here is not bought: sizes of shadow maps, radii and the like are
-the user's. Normals of fewer bits than `oct24` are left out: they cost the same bytes.
+the user's. Normals of fewer bits than `oct24` are left out, for they cost the same bytes, and so is `float32` in a
+compact G-buffer, whose other rounding errors are larger.
 """
 
 from __future__ import annotations
@@ -14,7 +15,18 @@ from typing import Literal
 
 from ..settings import Settings
 
-__all__ = ["AMOUNTS", "EXACT", "LADDERS", "PIXEL_SAMPLES", "SCALES", "Ladder", "Rung", "held_fields", "ladder_of"]
+__all__ = [
+    "AMOUNTS",
+    "EXACT",
+    "FEW_LIGHTS",
+    "LADDERS",
+    "PIXEL_SAMPLES",
+    "SCALES",
+    "Ladder",
+    "Rung",
+    "held_fields",
+    "ladder_of",
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,13 +114,15 @@ LADDERS: tuple[Ladder, ...] = (
            "frame"),
     Ladder("bloom", _plain("bloom", "off", "neighbourhood", "mip_chain", "exact"), "mip_chain", "bloom", "frame"),
     Ladder("gbuffer", (*(Rung(name, ("gbuffer.rung=compact", f"gbuffer.normal={name}"))
-                         for name in ("oct24", "oct32", "float32")), Rung("full", ("gbuffer.rung=full",))), "oct24",
+                         for name in ("oct24", "oct32")), Rung("full", ("gbuffer.rung=full",))), "oct24",
            "shade", "sample"),
     Ladder("shade", tuple(Rung(name, (f"shade.radiance={name}",)) for name in ("half", "float32")), "half", "shade",
            "sample"),
 )  # fmt: skip
 #: Ladders whose reference takes a number of samples of its own: the setting that says how many.
 AMOUNTS = {"shadow": "shadow.samples", "ambient_visibility": "ambient_visibility.rays"}
+#: Lights up to which testing all of them everywhere may be the fastest.
+FEW_LIGHTS = 64
 #: Rungs of light culling: every one gives the same bits, so the fastest is free.
 EXACT = Ladder(
     "light_culling",

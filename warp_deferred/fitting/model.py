@@ -23,6 +23,9 @@ from .ladders import PIXEL_SAMPLES, SCALES
 
 __all__ = ["Choice", "Grid", "LadderPrices", "Market", "Offer", "best", "share", "undominated"]
 
+#: No choice of rungs makes a frame take less than this share of the same frame at base rungs: where measured prices say
+#: so, it is noise that many samples have multiplied.
+FLOOR = 0.2
 #: Ladder -> rung.
 Choice = dict[str, str]
 
@@ -160,7 +163,7 @@ class Market:
             weight = share(scale) * (samples if ladder.part == "sample" else 1)
             ms = np.add.outer(ms, [offer.ms * weight for offer in chosen]).ravel()
             square = np.add.outer(square, [offer.error**2 for offer in chosen]).ravel()
-        return ms, square
+        return np.maximum(ms, FLOOR * self.grid.time(scale, samples)), square
 
     def _fxaa(self, scale: str, rung: str) -> float:
         return self.grid.fxaa_ms * share(scale) if rung == "fxaa" else 0.0
@@ -192,7 +195,7 @@ class Market:
         for ladder, offer in offers:
             ms += offer.ms * share(scale) * (samples if ladder.part == "sample" else 1)
         square = self.grid.errors[scale, rung] ** 2 + sum(offer.error**2 for _, offer in offers)
-        return ms, math.sqrt(square)
+        return max(ms, FLOOR * self.grid.time(scale, samples)), math.sqrt(square)
 
 
 def best(ms: np.ndarray, error: np.ndarray, budget_ms: float | None, max_error: float | None) -> int | None:

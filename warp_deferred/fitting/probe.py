@@ -101,9 +101,14 @@ class Probe:
         words._ref = display
         return words
 
-    def rmse(self, reference: wp.array) -> float:
-        """Root of the mean squared difference of the last look's picture and another one, codes as shares of 255."""
-        words = self._words()
+    def rmse(self, reference: wp.array, picture: wp.array | None = None) -> float:
+        """Root of the mean squared difference of two pictures, codes as shares of 255.
+
+        Args:
+            reference: One of them.
+            picture: The other; that of the last look if left out.
+        """
+        words = self._words() if picture is None else picture
         self._sum.zero_()
         wp.launch(
             picture_error.sum_squares_kernel, dim=min(picture_error.THREADS, words.size), inputs=[words, reference],

@@ -68,6 +68,7 @@ class Fit:
         reference: What the error is taken against.
         scene: What was looked at, and where.
         seconds: Time the call took [s], `cold_seconds` not included.
+        load_seconds: The part of it that loading compiled kernels took, once a process [s].
         cold_seconds: Time that compiling kernels took, which the machine's cache spares the next call [s].
         compiled: Modules of kernels compiled.
         plans: Frames looked at that needed a plan of their own.
@@ -90,6 +91,7 @@ class Fit:
     reference: str
     scene: str
     seconds: float
+    load_seconds: float
     cold_seconds: float
     compiled: int
     plans: int
@@ -141,6 +143,8 @@ class Fit:
                                              ("error with", "right"), ("in place of", "left")], rows)]  # fmt: skip
         lines += ["", f"  {self.next}", *(f"  {note}" for note in self.notes)]
         cold = f", and {self.cold_seconds:.1f} s to compile {self.compiled} modules" if self.compiled else ""
+        if self.load_seconds >= 0.1:
+            cold = f", {self.load_seconds:.1f} s of them to load kernels" + cold
         source = f"prices measured {self.cached}" if self.cached else "prices measured now"
         lines.append(f"  {source}, {self.plans} frames looked at in {self.seconds:.1f} s{cold}")
         lines.append("  settings: " + (" ".join(assignments(self.settings)) or "the defaults"))

@@ -10,6 +10,7 @@ picture would, as the time allowed buys; how many is told.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -18,7 +19,7 @@ import warp as wp
 from ..sampling import sample_count
 from ..settings import Settings
 from .clock import Spread
-from .ladders import AMOUNTS, EXACT, LADDERS, PIXEL_SAMPLES, SCALES, Ladder, Rung
+from .ladders import AMOUNTS, EXACT, FEW_LIGHTS, LADDERS, PIXEL_SAMPLES, SCALES, Ladder, Rung
 from .model import Choice, Grid, LadderPrices, Offer, share
 from .probe import Probe
 
@@ -26,12 +27,14 @@ __all__ = ["Progress", "Survey", "Surveyor"]
 
 #: Called with (what is measured, done, about how many in all).
 Progress = Callable[[str, int, int], Any]
+#: On the CPU no reference takes longer than so many base frames: small pictures are done at once.
+CPU_FRAMES = 150
 #: Most that a reference may take, on CUDA and on the CPU: samples of the pixel, rays of a ladder, all together [ms].
-ALLOWED_MS = {"samples": (400.0, 10_000.0), "rays": (150.0, 3_000.0), "whole": (1_000.0, 15_000.0)}
+ALLOWED_MS = {"samples": (400.0, 10_000.0), "rays": (150.0, 3_000.0), "whole": (600.0, 15_000.0)}
 #: A frame of the grid is measured up to so many times the budget, and on CUDA whenever it takes less than this [ms].
 REACH, CHEAP_MS = 3.0, 25.0
 #: Rays or samples of a reference that traces, dear to cheap. Few counts: a shadow's is compiled in.
-COUNTS = (64, 16, 4)
+COUNTS = (64, 16, 8, 4)
 #: Samples of lens and shutter that references take.
 MOST_SAMPLES = 64
 
@@ -147,7 +150,7 @@ class Surveyor:
         free_ms = self._cull(usual_ms)
         self.probe.look(self.at({}))
         base = self.probe.replays()
-        self.base_ms = base.median if self.cuda else base.p5
+        self.base_ms, self.base_picture = base.median if self.cuda else base.p5, self.probe.picture()
         self.noise_ms = 0.25 * (base.p95 - base.p5)
         request = self.probe.plan.request
         self.base_samples, self.base_share = sample_count(request), share(request.settings.scale.rung)
@@ -189,8 +192,9 @@ class Surveyor:
         if not self._sold(EXACT):
             return usual_ms, usual_ms
         times = {self.free.name: usual_ms}
+        few = len(self.probe.renderer.scene.lights) <= FEW_LIGHTS
         for rung in EXACT.rungs:
-            if rung.name not in times:
+            if rung.name not in times and (few or rung.name != "brute_force"):
                 self.free = rung
                 self.look(f"light_culling {rung.name}", {})
                 times[rung.name] = self.probe.price()
@@ -222,10 +226,10 @@ class Surveyor:
         picture = self.probe.picture()
         offers: dict[str, Offer] = {}
         for rung in rungs[:-1]:
-            self.look(f"{ladder.name} {rung.name}", {ladder.name: rung.name})
-            error, price = self.probe.rmse(picture), self.base_ms
+            error, price = self.probe.rmse(picture, self.base_picture), self.base_ms
             if rung.name != ladder.base:
-                price = self._settled(self.probe.price())
+                self.look(f"{ladder.name} {rung.name}", {ladder.name: rung.name})
+                error, price = self.probe.rmse(picture), self._settled(self.probe.price())
             offers[rung.name] = self._offer(ladder, rung, price, error, offers, taken)
         offers[best.name] = self._top(ladder, best, ms, counts, offers, taken)
         return LadderPrices(ladder.name, ladder.part, tuple(offers[rung.name] for rung in rungs))
@@ -269,6 +273,11 @@ class Surveyor:
         rays_ms = (ms - self.base_ms) / self._weight(ladder) - without
         return Offer(rung.name, without + rays_ms * wanted / counts[ladder.name], 0.0, estimated=True)
 
+    def _limit_ms(self, kind: str) -> float:
+        """Most that a reference may take [ms]."""
+        cuda, cpu = ALLOWED_MS[kind]
+        return cuda if self.cuda else min(cpu, CPU_FRAMES * self.base_ms)
+
     def _settled(self, ms: float) -> float:
         """A frame's time, or the base frame's where the difference drowns in the spread."""
         return ms if abs(ms - self.base_ms) > self.noise_ms else self.base_ms
@@ -276,7 +285,7 @@ class Surveyor:
     def _refine(self, ladder: Ladder, rung: Rung, counts: dict[str, int], reference_ms: dict[str, float]) -> None:
         """Take more rays where the time allowed buys them, fewer where it does not buy these."""
         count, ms = counts[ladder.name], reference_ms[ladder.name]
-        limit = ALLOWED_MS["rays"][not self.cuda]
+        limit = self._limit_ms("rays")
         wanted = next((n for n in COUNTS if ms * n / count <= limit), COUNTS[-1])
         if wanted != count:
             counts[ladder.name] = wanted
@@ -287,7 +296,7 @@ class Surveyor:
         """Most samples a pixel, by quarters, that the time allowed buys; those held where they are."""
         if "anti_aliasing" in self.fixed and not self._takes_samples():
             return self.base_samples
-        limit = ALLOWED_MS[kind][not self.cuda]
+        limit = self._limit_ms(kind)
         while most > 4 and most * ms > limit:
             most //= 4
         return most
@@ -296,34 +305,39 @@ class Surveyor:
         return any(self._sold(ladder) and ladder.rungs[-1].samples > 1 for ladder in LADDERS)
 
     def _grid(self, samples: int, taken: dict[int, float]) -> Grid:
-        """Measure size against samples of the pixel."""
-        scales = [self.fixed["scale"]] if "scale" in self.fixed else list(SCALES)
+        """Measure size against samples of the pixel; what is held stays as it is."""
         held = self.fixed.get("anti_aliasing")
+        sold = "scale" not in {**self.fixed, **self.absent}
+        scales = list(SCALES) if sold else [self.settings.scale.rung]
         rungs = [held] if held else [name for name, count in PIXEL_SAMPLES.items() if count <= samples]
-        # What is held stays as it is in both.
-        self.look(f"{samples} samples a pixel", {"scale": "off", "anti_aliasing": f"samples_{samples}"})
+        top = f"samples_{samples}"
+        self.look(f"{samples} samples a pixel", {"scale": "off", "anti_aliasing": top})
         picture = self.probe.picture()
-        times: dict[tuple[str, int], float] = {}
-        errors: dict[tuple[str, str], float] = {}
+        times: dict[tuple[str, int], float] = {(scales[0], self.base_samples): self.base_ms}
+        errors = {(scales[0], held or "off"): self.probe.rmse(picture, self.base_picture)}
+        if not held and self._within_reach(Grid(times, {}).time(scales[0], samples)):
+            times[scales[0], max(samples, self.base_samples)] = self.probe.price()
+            errors[scales[0], top] = 0.0
         fxaa_ms = 0.0
-        for scale in scales:
-            for rung in rungs:
-                count = max(PIXEL_SAMPLES[rung], self.base_samples)
-                guess = Grid(times or {(scale, self.base_samples): self.base_ms}, {}).time(scale, count)
-                if not self._within_reach(guess):
-                    self.unmeasured.append(f"{_cell(scale, rung)} (about {guess:.3g} ms)")
-                    continue
-                self.look(_cell(scale, rung), {"scale": scale, "anti_aliasing": rung})
-                error, ms = self.probe.rmse(picture), self.probe.price()
-                errors[scale, rung] = error
-                if rung == "fxaa" and held is None:
-                    # Of full size; every other size pays its share.
-                    fxaa_ms = fxaa_ms if scale != scales[0] else (ms - times[scale, count]) / share(scale)
-                else:
-                    times[scale, count] = ms
+        for scale, rung in itertools.product(scales, rungs):
+            count = max(PIXEL_SAMPLES[rung], self.base_samples)
+            # Pixels by the hundred are better spent at full size than on a picture that is scaled up.
+            if (scale, rung) in errors or (scale != scales[0] and PIXEL_SAMPLES[rung] == MOST_SAMPLES):
+                continue
+            guess = Grid(times, {}).time(scale, count)
+            if not self._within_reach(guess):
+                self.unmeasured.append(f"{_cell(scale, rung)} (about {guess:.3g} ms)")
+                continue
+            self.look(_cell(scale, rung), {"scale": scale, "anti_aliasing": rung})
+            errors[scale, rung] = self.probe.rmse(picture)
+            if rung != "fxaa":
+                times[scale, count] = self.probe.price()
+            elif scale == scales[0] and not held:
+                # Of full size; every other size pays its share.
+                fxaa_ms = max(self.probe.price() - times[scale, count], 0.0) / share(scale)
         for count, ms in taken.items():
             times.setdefault((scales[0], count), ms)
-        return Grid(times, errors, max(fxaa_ms, 0.0), self.base_samples)
+        return Grid(times, errors, fxaa_ms, self.base_samples)
 
     def _within_reach(self, ms: float) -> bool:
         if self.budget_ms is None:
@@ -334,7 +348,7 @@ class Surveyor:
         self, grid: Grid, samples: int, counts: dict[str, int], reference_ms: dict[str, float]
     ) -> tuple[int, dict[str, int]]:
         """How many samples and rays the picture may take in which all references stand together."""
-        limit, chosen = ALLOWED_MS["whole"][not self.cuda], dict(counts)
+        limit, chosen = self._limit_ms("whole"), dict(counts)
 
         def total() -> float:
             extra = sum((ms - self.base_ms) * chosen.get(name, 1) / counts.get(name, 1)
@@ -343,7 +357,7 @@ class Surveyor:
 
         while total() > limit and any(count > COUNTS[-1] for count in chosen.values()):
             dearest = max(chosen, key=lambda name: (chosen[name] > COUNTS[-1], reference_ms[name] * chosen[name]))
-            chosen[dearest] //= 4
+            chosen[dearest] = COUNTS[COUNTS.index(chosen[dearest]) + 1]
         while total() > limit and samples > 16 and "anti_aliasing" not in self.fixed:
             samples //= 4
         return samples, chosen
