@@ -8,6 +8,7 @@ the quarter among them, would have; well-spread ones have less.
 
 from __future__ import annotations
 
+import concurrent.futures
 import dataclasses
 import time
 from collections.abc import Callable
@@ -229,10 +230,15 @@ class _Climb:
     def rows(self) -> dict[str, Row]:
         """Errors and times of all rungs looked at."""
         reference, ladder = self.ladder.reference, self.ladder
-        rows = {name: self._errors(self.pictures[name], self.own[name]) | row for name, row in self.times.items()}
+        looks = [(self.pictures[name], self.own[name]) for name in self.times]
         if ladder.quarter:
-            _, picture, own = self._look(self.shared.at(ladder, reference, ladder.quarter))
-            row = self._errors(picture, own)
+            looks.append(self._look(self.shared.at(ladder, reference, ladder.quarter))[1:])
+        # FLIP takes seconds and leaves the interpreter to others meanwhile; nothing is timed now.
+        with concurrent.futures.ThreadPoolExecutor() as pool:
+            errors = list(pool.map(lambda look: self._errors(*look), looks))
+        rows = {name: found | row for (name, row), found in zip(self.times.items(), errors, strict=False)}
+        if ladder.quarter:
+            row = errors[-1]
             for part in ("stage", "error"):
                 rows[reference][f"noise.{part}_rmse"] = float(f"{row[f'{part}.rmse'] * 3.0**-0.5:.3g}")
         return rows

@@ -7,6 +7,7 @@ scene without what calls for the effect, or, with `.idle`, with nothing for it t
 
 from __future__ import annotations
 
+import concurrent.futures
 import time
 from collections.abc import Callable
 from typing import Any
@@ -146,8 +147,11 @@ def _case(
             continue
         rows.append({"kind": "rung", **shared, "rung": rung, **row})
     if case.reference in pictures:
-        for row in rows:
-            row |= {"reference": case.reference} | _error(pictures[row["rung"]], pictures[case.reference])
+        # FLIP takes seconds and leaves the interpreter to others meanwhile; nothing is timed now.
+        with concurrent.futures.ThreadPoolExecutor() as pool:
+            errors = pool.map(lambda row: _error(pictures[row["rung"]], pictures[case.reference]), rows)
+            for row, found in zip(rows, list(errors), strict=True):
+                row |= {"reference": case.reference} | found
     tried = case.at(settings, case.default(settings)) if case.has_cause or case.idle else settings
     for text, measure, wanted in (
         ("not called for", _free, case.has_cause),

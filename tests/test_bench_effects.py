@@ -71,7 +71,7 @@ def test_every_effect_has_a_case_and_every_case_its_scene_its_rungs_and_its_word
     # A ladder's errors are taken against its dearest rung, unless it saves time; filters and choices have none.
     assert {case.name: case.reference for case in CASES if case.reference != case.rungs()[-1]} == {
         "scale": "off", "scale_samples_16": "off", "blur": "", "tone_mapping": "", "custom_pass": "",
-        "shadow_cascades": "",
+        "shadow_cascades": "", "ambient_visibility_terrain": "",
     }  # fmt: skip
 
 
