@@ -7,6 +7,7 @@ import importlib.metadata
 import importlib.util
 import math
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,17 @@ def _context() -> Any:
         except Exception as error:  # whatever a driver comes up with is a reason
             errors.append(f"{library}: {(str(error).strip() or type(error).__name__).splitlines()[0]}")
     return "no OpenGL 4.3 through EGL (" + "; ".join(errors) + ")"
+
+
+def _current(method: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a session's context the thread's own while a method runs: WebGPU takes it away when it looks for devices."""
+
+    @functools.wraps(method)
+    def run(self: Any, *arguments: Any) -> Any:
+        with _context():
+            return method(self, *arguments)
+
+    return run
 
 
 class OpenGL:
@@ -103,6 +115,7 @@ class OpenGL:
 class _OpenGLSession:
     """A case opened by OpenGL: one framebuffer, views side by side in it."""
 
+    @_current
     def __init__(self, case: PeerCase, scene: Scene, cameras: list[Camera], device: wp.Device) -> None:
         self.case, self.device, self.context = case, device, _context()
         self.note = ""
@@ -189,6 +202,7 @@ class _OpenGLSession:
                 context.depth_func = "<="
             _draw(self.shaded, view, projection)
 
+    @_current
     def time(self, repeats: int) -> Timing:
         """Time frames by the driver's own clock, or by the wall's where it draws on the CPU."""
         if self.device.is_cpu:
@@ -226,6 +240,7 @@ class _OpenGLSession:
         rows = image.reshape(self.down, height, self.across, width, *image.shape[2:]).swapaxes(1, 2)
         return rows.reshape(-1, height, width, *image.shape[2:])[: self.case.views, ::-1]
 
+    @_current
     def depth(self) -> np.ndarray | None:
         """The depth buffer's, 24 bits of z/w, made linear."""
         self.frame()
@@ -233,6 +248,7 @@ class _OpenGLSession:
         slope, offset = self.projection[2, 2:]
         return np.where(depth < 1.0, offset / (2.0 * depth - 1.0 + slope), np.inf).astype(np.float32)
 
+    @_current
     def picture(self) -> np.ndarray | None:
         """The shaded picture; None for a G-buffer."""
         if self.case.kind == "gbuffer":
@@ -241,6 +257,7 @@ class _OpenGLSession:
         image = np.frombuffer(self.images[0].read(), np.uint8).reshape(*self.size[::-1], 4)
         return self._views(image)[0, ..., :3].copy()
 
+    @_current
     def close(self) -> None:
         """Release all that was made, newest first."""
         self.context.extra.use()
