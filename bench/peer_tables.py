@@ -109,4 +109,5 @@ def peers_overview(record: Record) -> str:
                 ratio = f" ({times(row['ratio'])})" if "ratio" in row else ""
                 line.append(f"{milliseconds(row['time.ms'])}{ratio}{f', {target}' if target else ''}")
         lines.append(line)
-    return markdown(["case (ms)", *(f">{title}" for title in names.values())], lines)
+    note = "In brackets: how many times ours. ≥: what must be reached on one H200. Empty: not what it does, or missing."
+    return markdown(["case (ms)", *(f">{title}" for title in names.values())], lines) + f"\n\n{note}"

@@ -55,7 +55,7 @@ def _model(fit: Row | None) -> str:
 def _bytes_each(fit: Row | None) -> str:
     if fit is None:
         return ""
-    each = f"{fit['each']:.3g} B" if abs(fit["each"]) < 1e3 else megabytes(fit["each"])
+    each = f"{fit['each']:.3g} B" if fit["each"] < 1e3 else f"{fit['each'] / 1e3:.3g} kB"
     return f"{megabytes(fit['fixed'])} + {each} each"
 
 

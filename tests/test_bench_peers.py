@@ -368,3 +368,18 @@ def test_launches_that_cannot_be_captured_are_timed_and_told(monkeypatch):
     assert peer.note == "not captured: capture failed"
     noted = made(note=peer.note)
     assert "| Newton (not captured: capture failed) |" in peer_tables.peers_table(noted)
+
+
+@pytest.mark.skipif(OpenGL().available(CPU) is not None, reason="no OpenGL on the CPU")
+def test_opengl_keeps_its_context_when_another_takes_its_place():
+    import moderngl
+
+    case = cases.peer_cases(False, quick=True)[0]
+    scene = case.build()
+    session = OpenGL().open(case, scene, case.cameras(scene), CPU)
+    before = session.depth()
+    other = moderngl.create_context(standalone=True, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1")
+    other.framebuffer([other.texture((4, 4), 4)]).use()
+    np.testing.assert_array_equal(session.depth(), before)
+    session.close()
+    other.release()
