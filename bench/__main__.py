@@ -60,7 +60,10 @@ def _measure(
 
     # Compiler and driver remarks would mix with the progress; the library leaves this to programs.
     wp.config.log_level = wp.LOG_WARNING
-    changes = [*(SPINE if name not in ("effects", "effect_images", "accuracy") else ()), *(sets or ())]
+    changes = [
+        *(SPINE if name not in ("effects", "effect_images", "accuracy", "fit", "presets") else ()),
+        *(sets or ()),
+    ]
     settings = Settings().with_values(changes)
     try:
         chosen = wp.get_device(device)
@@ -238,6 +241,44 @@ def host(
 
 
 @app.command()
+def peers(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Annotated[
+        str, typer.Option("--only", metavar="CASE", help="Run cases with this in their names, such as lit_1000.")
+    ] = "",
+    preview: Annotated[str, typer.Option("--preview", metavar="DIR", help="Write a picture of each row here.")] = "",
+) -> None:
+    """Newton, OpenGL and nvdiffrast beside this renderer, on the same scenes in one run; who is missing is named."""
+    from .peers.cases import narrowed
+
+    narrowed(only, not device.startswith("cpu"), quick=quick)  # before minutes of measuring, not after
+    _bench("peers", device, json, plot, quick, set_, only=only, images=preview, keeps=True)
+
+
+@app.command()
+def scaling(
+    device: Device = "cuda:0",
+    json: Json = None,
+    plot: Plot = None,
+    quick: Quick = False,
+    set_: Sets = None,
+    only: Annotated[str, typer.Option("--only", metavar="AXIS", help="Vary this alone, such as lights.")] = "",
+) -> None:
+    """How time and memory grow with triangles, lights, pixels and views; the CPU runs fewer and smaller points."""
+    from warp_deferred.checks import check_choice
+
+    from .scaling import AXES
+
+    if only:
+        check_choice("--only", only, [axis.name for axis in AXES])
+    _bench("scaling", device, json, plot, quick, set_, only=only, keeps=True)
+
+
+@app.command()
 def preview(
     out: Annotated[str, typer.Option("--out", "-o", metavar="DIR", help="Folder for the pictures.")] = "out/bench",
     device: Device = "cuda:0",
@@ -261,6 +302,39 @@ def report(
     for path in changed:
         typer.echo(f"{'out of date: ' if check else 'wrote '}{path}")
     if check and changed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def fit(device: Device = "cuda:0", json: Json = None, quick: Quick = False, set_: Sets = None) -> None:
+    """How long a fit takes, whether its choice keeps the budget, and how near it is to the best there is."""
+    _bench("fit", device, json, None, quick, set_)
+
+
+@app.command()
+def presets(
+    from_: Annotated[
+        str | None,
+        typer.Option("--from", metavar="F.json", help="Result of `accuracy`; left out: the GPU's, or a CPU's."),
+    ] = None,
+    out: Annotated[str | None, typer.Option("--out", "-o", metavar="F.py", help="Write the module here.")] = None,
+    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if it is out of date.")] = False,
+    measure: Annotated[bool, typer.Option("--measure", help="Write no module; time the presets on scenes.")] = False,
+    device: Device = "cuda:0",
+    json: Json = None,
+    quick: Quick = False,
+) -> None:
+    """Write `warp_deferred/presets.py` from what accuracy costs; or measure what the presets cost and leave."""
+    from . import presets as bench
+    from .record import ROOT
+
+    if measure:
+        _bench("presets", device, json, None, quick, None)
+        return
+    changed = bench.write(ROOT, from_, None if out is None else Path(out), check=check)
+    if changed is not None:
+        typer.echo(f"{'out of date: ' if check else 'wrote '}{changed}")
+    if check and changed is not None:
         raise typer.Exit(1)
 
 

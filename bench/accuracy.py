@@ -30,7 +30,7 @@ from .record import Record
 from .timing import REPEATS, Timing, time_moving, time_passes, time_program
 from .twin import twin_outputs
 
-__all__ = ["run"]
+__all__ = ["run", "whole_frame"]
 
 #: A frame that takes longer than this [ms] is timed `SLOW_REPEATS` times, by the host's clock.
 SLOW_MS, SLOW_REPEATS = 20.0, 3
@@ -276,7 +276,7 @@ def _prefixed(prefix: str, row: Row) -> Row:
 def _times(plan: Plan, ladder: Ladder, repeats: int, move: Callable[[int], Any] | None = None) -> Row:
     """Times of a frame, and of the ladder's passes where it names some; else the stage is the frame."""
     program = plan.resources.program
-    whole = _whole_frame(plan, repeats, move)
+    whole = whole_frame(plan, repeats, move)
     row = whole.metrics("frame") | {"frame.repeats": whole.repeats}
     if not ladder.passes:
         return row | whole.metrics("stage") | {"stage.of_frame": 1.0}
@@ -287,8 +287,14 @@ def _times(plan: Plan, ladder: Ladder, repeats: int, move: Callable[[int], Any] 
     return row | stage.metrics("stage") | {"stage.of_frame": round(stage.median / total, 4) if total > 0.0 else 0.0}
 
 
-def _whole_frame(plan: Plan, repeats: int, move: Callable[[int], Any] | None) -> Timing:
-    """Time a frame that was rendered before: few times where it is slow, as those of references are."""
+def whole_frame(plan: Plan, repeats: int, move: Callable[[int], Any] | None) -> Timing:
+    """Time a frame that was rendered before: few times where it is slow, as those of references are.
+
+    Args:
+        plan: Its plan.
+        repeats: Measurements of a fast one.
+        move: Function of the frame's number that moves the scene and renders it; None: the same frame is replayed.
+    """
     program, device = plan.resources.program, plan.resources.device
     values: list[float] = []
     while len(values) < SLOW_REPEATS:

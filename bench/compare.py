@@ -26,7 +26,8 @@ __all__ = ["Change", "Comparison", "compare", "table"]
 NAMES = {
     "frame": ("case",), "triangles": ("case",), "lights": ("lights", "mean"), "host": ("case", "figure"),
     "tiles": ("resolution", "lights", "tile_size"), "effects": ("kind", "case", "rung"),
-    "accuracy": ("ladder", "scene", "rung"),
+    "accuracy": ("ladder", "scene", "rung"), "peers": ("case", "peer"), "scaling": ("axis", "n"),
+    "fit": ("scene", "budget_ms"), "presets": ("preset", "scene"),
 }  # fmt: skip
 #: Fields that make a row another case if they differ.
 INPUTS = ("width", "height", "triangles", "lights", "source", "settings")
@@ -34,7 +35,7 @@ INPUTS = ("width", "height", "triangles", "lights", "source", "settings")
 QUICK_REPEATS = 3
 #: Ends of metrics that are made of others, or are measured once.
 DERIVED = ("floor_ms", "floor.ms", "times_floor", "sum_ms", "difference_ms", "of_frame", "added_bytes")
-ONCE = ("compile.s", "compile.replaced_s")
+ONCE = ("compile.s", "compile.replaced_s", "build.s")
 #: Times that are, or may be, differences of longer ones: what runs differ by is a share of the whole.
 WHOLE = {"stage.ms": "frame.ms", "raster.ms": "total.ms"}
 #: Share and difference by which errors and means may differ: they are rounded to four digits, or to 1e-6.

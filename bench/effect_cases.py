@@ -187,6 +187,15 @@ EFFECT_CASES: dict[str, EffectCase] = {
             draws=False,
         ),
         EffectCase("ambient_visibility", "corner", "ray_traced", free=_no_ambient, centre=(0.5, 0.6), zoom=2),
+        EffectCase(
+            "ambient_visibility_terrain",
+            "terrain?triangles=500000&lights=1000",
+            effect="ambient_visibility",
+            small=_HILLS,
+            free=_no_ambient,
+            leaves_out=("ray_traced",),
+            draws=False,
+        ),
         # Twenty stops down nothing exceeds the threshold: bloom is in the plan, and skipped on the device.
         EffectCase(
             "bloom", "glow", "exact", free=_lens(bloom=0.0), idle=_lens(exposure=-20.0), centre=(0.5, 0.42), zoom=2

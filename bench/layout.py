@@ -8,7 +8,7 @@ from typing import Any
 
 from .record import Record
 
-__all__ = ["count_text", "markdown", "megabytes", "milliseconds", "spread", "verdict"]
+__all__ = ["count_text", "markdown", "megabytes", "milliseconds", "spread", "times", "verdict"]
 
 Row = dict[str, Any]
 
@@ -51,3 +51,8 @@ def verdict(record: Record, value: float, limit: float | None) -> str:
         return ""
     stated = "H200" in record["device"] or record["device"].startswith("CPU, 2 cores")
     return f"≤ {limit:g}" + (f" {'✓' if value <= limit else '✗'}" if stated and not record["quick"] else "")
+
+
+def times(value: float) -> str:
+    """How many times another figure it is."""
+    return f"{milliseconds(value)} x"

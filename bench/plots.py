@@ -27,7 +27,7 @@ except ImportError as error:  # told here, where a plot was asked for
         "matplotlib: expected it for plots, got no such module; install it with: pip install -e '.[dev]'"
     ) from error
 
-from . import accuracy_plots  # it imports matplotlib, too
+from . import accuracy_plots, performance_plots  # they import matplotlib, too
 
 __all__ = ["check_target", "draw"]
 
@@ -276,6 +276,14 @@ def _accuracy(record: Record) -> Figure:
     return accuracy_plots.overview_figure(record, COLORS, PALE, _device(record))
 
 
+def _peers(record: Record) -> Figure:
+    return performance_plots.peers_figure(record, COLORS, PALE, _device(record))
+
+
+def _scaling(record: Record) -> Figure:
+    return performance_plots.scaling_figure(record, COLORS, PALE, _device(record))
+
+
 def _label_shifts(heights: list[float]) -> list[float]:
     """How far up each label goes [pt] so that those at one height, a share of the axis, do not lie on one another."""
     shifts = [0.0] * len(heights)
@@ -289,5 +297,5 @@ def _label_shifts(heights: list[float]) -> list[float]:
 
 _DRAW = {
     "triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host, "effects": _effects,
-    "accuracy": _accuracy,
+    "accuracy": _accuracy, "peers": _peers, "scaling": _scaling,
 }  # fmt: skip

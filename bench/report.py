@@ -1,4 +1,4 @@
-"""Writes tables and plots of docs/benchmarks.md, effects.md, accuracy.md and README.md from bench/results/*.json.
+"""Writes tables and plots of docs/benchmarks.md, effects.md, accuracy.md, performance.md, README.md from bench/results.
 
 No number is typed. A result's file name is its key: `frame.json` fills `<!-- bench:frame -->`, `frame_cpu.json` fills
 `<!-- bench:frame_cpu -->`. The same results give the same files.
@@ -15,6 +15,7 @@ from . import record, tables
 from .accuracy_page import accuracy_page, chosen, plot_name
 from .accuracy_tables import ladder_names, overview_table
 from .effect_page import effects_page, overview
+from .performance_page import BENCHES, performance_page
 
 __all__ = ["MARKER", "fill", "run"]
 
@@ -22,6 +23,7 @@ MARKER = re.compile(r"(<!-- bench:([\w-]+) -->\n).*?(<!-- /bench -->)", re.DOTAL
 OPENING = re.compile(r"<!-- bench:([\w-]+) -->")
 RESULTS, PAGE, IMAGES = Path("bench/results"), Path("docs/benchmarks.md"), Path("docs/images")
 EFFECTS_PAGE, ACCURACY_PAGE = Path("docs/effects.md"), Path("docs/accuracy.md")
+PERFORMANCE_PAGE = Path("docs/performance.md")
 #: Bench -> heading and what its table shows; the order of the page.
 SECTIONS = {
     "frame": (
@@ -51,6 +53,29 @@ SECTIONS = {
         "Each stage's rungs from cheap to reference on the scene that shows it best; all scenes, the stages' own "
         "errors, bounds and crops are in [accuracy.md](accuracy.md).",
     ),
+    "peers": (
+        "Beside others",
+        "Newton, OpenGL and nvdiffrast on the same scenes in the same run, and in brackets how many times our time "
+        "that is; what each computes and what not is in [performance.md](performance.md).",
+    ),
+    "scaling": (
+        "Growth",
+        "One thing varied, the rest fixed; every point and every pass is in [performance.md](performance.md).",
+    ),
+    "presets": (
+        "Presets",
+        "Whole frames at each preset, and how far their pictures are from those of `reference`: RMSE and largest "
+        "difference of `display` in [0, 1], mean FLIP of its middle. Which rungs a preset takes, and what each costs "
+        "and leaves by itself, is told in `warp_deferred/presets.py`.",
+    ),
+    "fit": (
+        "Settings for a budget",
+        "`warp_deferred.fit` at several budgets, beside the best of every combination of rungs that the scene calls "
+        "for, each rendered and timed as the fit times frames. RMSE of `display` in [0, 1] against one picture whose "
+        "ladders trace more rays than the fit's own reference, in which the fit's own figure is taken. A combination "
+        "counts as possible where its median keeps the budget; a fit's choice must keep it in 19 of 20 frames of a "
+        "time interval it did not see.",
+    ),
     "host": (
         "Host time",
         "What a call of `render` costs the thread that makes it: no figure waits for the device inside the clock, and "
@@ -58,6 +83,8 @@ SECTIONS = {
         "of host or device, whichever is slower. On the CPU a call renders the frame.",
     ),
 }
+#: Benches whose tables say it all.
+PLOTLESS = ("presets", "fit")
 INTRODUCTION = """# Benchmarks
 
 Written by `python -m bench report` from `bench/results/*.json`; do not edit. The cases are frozen in `bench/cases.py`;
@@ -100,6 +127,8 @@ def run(root: Path, *, check: bool = False) -> list[Path]:
         texts[root / EFFECTS_PAGE] = effects_page(effects, root / IMAGES)
     if accuracy := {name: result for name, result in records.items() if result["bench"] == "accuracy"}:
         texts[root / ACCURACY_PAGE] = accuracy_page(accuracy, root / IMAGES)
+    if performance := {name: result for name, result in records.items() if result["bench"] in BENCHES}:
+        texts[root / PERFORMANCE_PAGE] = performance_page(performance, root / IMAGES)
     readme = root / "README.md"
     if readme.exists():
         texts[readme] = fill(readme.read_text(encoding="utf-8"), records, str(readme))
@@ -111,7 +140,7 @@ def run(root: Path, *, check: bool = False) -> list[Path]:
         path.write_bytes(texts[path].encode())
     from . import plots
 
-    parts = [(f"bench_{name}.png", result, "") for name, result in records.items()]
+    parts = [(f"bench_{name}.png", result, "") for name, result in records.items() if result["bench"] not in PLOTLESS]
     if accuracy:
         result = accuracy[chosen(accuracy)]
         parts += [(plot_name(ladder), result, ladder) for ladder in ladder_names(result)]
@@ -138,7 +167,8 @@ def _page(records: dict[str, record.Record]) -> str:
             parts.append(f"## {heading}{f' ({suffix})' if suffix else ''}")
             parts.append(text)
             parts.append(_shown(result))
-            parts.append(f"![{heading.lower()}](images/bench_{name}.png)")
+            if bench not in PLOTLESS:
+                parts.append(f"![{heading.lower()}](images/bench_{name}.png)")
             parts.append(f"Measured on {tables.provenance(result)}.")
     return "\n\n".join(parts) + "\n"
 
@@ -147,7 +177,9 @@ def _shown(result: record.Record) -> str:
     """Table of a result; where it has a page of its own, one line a row of that."""
     if result["bench"] == "effects":
         return overview(result, EFFECTS_PAGE.name)
-    return overview_table(result, ACCURACY_PAGE.name) if result["bench"] == "accuracy" else tables.full_table(result)
+    if result["bench"] == "accuracy":
+        return overview_table(result, ACCURACY_PAGE.name)
+    return tables.short_table(result) if result["bench"] in BENCHES else tables.full_table(result)
 
 
 def fill(text: str, records: dict[str, record.Record], name: str) -> str:

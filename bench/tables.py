@@ -6,9 +6,12 @@ from typing import Any
 
 from .accuracy_tables import accuracy_table, overview_table
 from .effect_tables import effects_table
+from .fit_tables import fit_table, presets_table
 from .frame import pass_names
 from .layout import count_text, markdown, megabytes, milliseconds, spread, verdict
+from .peer_tables import peers_overview, peers_table
 from .record import Record
+from .scaling_tables import scaling_overview, scaling_table
 from .targets import FRAME_TARGETS, HOST_TARGET_US, LIGHT_TARGETS_MS, TRIANGLE_QUOTES
 
 __all__ = ["frames_table", "full_table", "milliseconds", "provenance", "short_table"]
@@ -169,11 +172,14 @@ def _effects(record: Record) -> str:
 
 _FULL = {
     "triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host, "effects": _effects,
-    "accuracy": accuracy_table,
+    "accuracy": accuracy_table, "peers": peers_table, "scaling": scaling_table,
+    "fit": fit_table, "presets": presets_table,
 }  # fmt: skip
 _SHORT = {
     "triangles": lambda record: _triangles(record, full=False),
     "tiles": lambda record: _tiles(record, full=False),
     "frame": frames_table,
     "accuracy": overview_table,
+    "peers": peers_overview,
+    "scaling": scaling_overview,
 }

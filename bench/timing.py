@@ -21,8 +21,8 @@ from warp_deferred.checks import check_choice, check_count, input_error
 from warp_deferred.program import SAMPLE, Program
 
 __all__ = [
-    "REPEATS", "Timing", "copy_bandwidth", "run_until", "sample_sections", "time_calls", "time_moving",
-    "time_passes", "time_program",
+    "REPEATS", "Timing", "copy_bandwidth", "run_until", "sample_sections", "time_calls", "time_launches",
+    "time_moving", "time_passes", "time_program", "warm_up",
 ]  # fmt: skip
 
 REPEATS = 50
@@ -149,6 +149,29 @@ def time_program(program: Program, sections: Sequence[str] | None = None, *, rep
     return Timing.of(_device_times(program.device, lambda: wp.capture_launch(graph), repeats))
 
 
+def time_launches(
+    device: wp.Device, run: Callable[[], Any], *, repeats: int = REPEATS, captured: bool = True
+) -> Timing:
+    """Time launches that are not a program's: as one graph on CUDA, wall-clock time on the CPU [ms].
+
+    Args:
+        device: Device of all launches.
+        run: Issues them; what it allocates on its first call is allocated before it is captured.
+        repeats: Measurements.
+        captured: Whether to capture them on CUDA; else they are issued anew each time, and the device waits for the
+            host where that is slower.
+    """
+    check_count("time_launches.repeats", repeats, 1, 100_000)
+    if not device.is_cuda:
+        return Timing.of(_host_times(run, repeats))
+    run()  # modules are loaded by a first launch, which a capture does not allow
+    wp.synchronize_device(device)
+    if not captured:
+        return Timing.of(_device_times(device, run, repeats))
+    graph = _capture(device, run)
+    return Timing.of(_device_times(device, lambda: wp.capture_launch(graph), repeats))
+
+
 def time_passes(program: Program, *, repeats: int = REPEATS) -> dict[str, Timing]:
     """Time every pass as a graph of its own, in frame order, so that caches are as a frame leaves them.
 
@@ -170,7 +193,7 @@ def time_passes(program: Program, *, repeats: int = REPEATS) -> dict[str, Timing
                 break
         return {name: Timing.of(values) for name, values in times.items()}
     graphs = [_capture(program.device, run) for _, run in runs]
-    _warm_up(program.device, lambda: [wp.capture_launch(graph) for graph in graphs])
+    warm_up(program.device, lambda: [wp.capture_launch(graph) for graph in graphs])
     stream = wp.get_stream(program.device)
     # Rounds ahead of the measured ones keep the host in front of the device.
     for _ in range(3):
@@ -271,8 +294,8 @@ def _capture(device: wp.Device, run: Callable[[], Any]) -> Any:
     return capture.graph
 
 
-def _warm_up(device: wp.Device, run: Callable[[], Any]) -> float:
-    """Run for a while and return the seconds one run takes, roughly."""
+def warm_up(device: wp.Device, run: Callable[[], Any]) -> float:
+    """Run for a while, so that caches are full and clocks are up; return the seconds one run takes, roughly."""
     run()
     wp.synchronize_device(device)
     started, count = time.perf_counter(), 0
@@ -285,7 +308,7 @@ def _warm_up(device: wp.Device, run: Callable[[], Any]) -> float:
 
 
 def _device_times(device: wp.Device, run: Callable[[], Any], repeats: int) -> list[float]:
-    once_ms = _warm_up(device, run) * 1e3
+    once_ms = warm_up(device, run) * 1e3
     batch = max(1, min(MAX_BATCH, math.ceil(BATCH_MS / max(once_ms, 1e-6))))
     stream = wp.get_stream(device)
     events = [wp.Event(device, enable_timing=True) for _ in range(repeats + 1)]

@@ -7,8 +7,8 @@ The lens scatters a share of b, the part of exposed radiance above a threshold, 
 All weights are sums of powers of two and add up to 1 exactly. Beyond the picture's edge the picture is mirrored.
 
 Levels are half4 and hold exposed radiance in [0, 65504]. Block size 64, over 8 x 8 blocks of threads. Every texel comes
-from one thread in a fixed order of + - * /: bit-identical on all devices, and in `bloom_small`, which makes several of
-the small levels in a launch.
+from one thread in a fixed order of + - * /: bit-identical on all devices, and in `bloom_chain`, which makes all levels
+in one launch.
 
 Bytes for P pixels: levels are read and written once downwards and once upwards, 2/3 P and 10/3 P, all of it within the
 L2 cache at 1080p. Display reads 2 P more. Operations: `downsample` makes two texels a thread, 24 loads and 129
@@ -21,7 +21,7 @@ import warp as wp
 
 from .intrinsics import load_double_word, load_vec4i, pack_half4, store_double_word, unpack_half3
 from .projection import pixel_block, pixel_in_block
-from .structs import BloomLevel, View
+from .structs import Bloom, BloomLevel, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -136,16 +136,73 @@ def tent_ahead(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
     return a * 3.0 + b * 7.0 + c * 5.0 + d
 
 
+@wp.struct
+class Quad:
+    """One value for each of 2 x 2 pixels."""
+
+    nw: wp.vec3
+    ne: wp.vec3
+    sw: wp.vec3
+    se: wp.vec3
+
+
+@wp.struct
+class Pair:
+    """What two pixels side by side see of a row of texels, times 4."""
+
+    left: wp.vec3
+    right: wp.vec3
+
+
 @wp.func
-def bilinear(texels: wp.array[wp.uint64], level: BloomLevel, x: wp.int32, y: wp.int32):
-    """A level seen from texel (x, y) of the next finer one, interpolated between 2 x 2 texels, times 16."""
-    i, j = x >> 1, y >> 1
-    i1 = mirrored(i + 2 * (x & 1) - 1, level.width, level.edge_x)
-    j1 = mirrored(j + 2 * (y & 1) - 1, level.height, level.edge_y)
-    row, row1 = level.first + j * level.width, level.first + j1 * level.width
-    near = word_value(texels, row + i) * 3.0 + word_value(texels, row + i1)
-    far = word_value(texels, row1 + i) * 3.0 + word_value(texels, row1 + i1)
-    return near * 3.0 + far
+def bilinear_pair(texels: wp.array[wp.uint64], level: BloomLevel, columns: wp.vec3i, y: wp.int32):
+    """One row, mirrored, under the pixels above the middle one of three columns."""
+    row = level.first + mirrored(y, level.height, level.edge_y) * level.width
+    middle = word_value(texels, row + columns[1]) * 3.0
+    pair = Pair()
+    pair.left = middle + word_value(texels, row + columns[0])
+    pair.right = middle + word_value(texels, row + columns[2])
+    return pair
+
+
+@wp.func
+def bilinear_quad(texels: wp.array[wp.uint64], level: BloomLevel, i: wp.int32, j: wp.int32):
+    """A level seen from the 2 x 2 texels of the next finer one above texel (i, j), times 16.
+
+    Each is interpolated between 2 x 2 texels; the four share nine of them.
+    """
+    columns = wp.vec3i(mirrored(i - 1, level.width, level.edge_x), i, mirrored(i + 1, level.width, level.edge_x))
+    above, here = bilinear_pair(texels, level, columns, j - 1), bilinear_pair(texels, level, columns, j)
+    below = bilinear_pair(texels, level, columns, j + 1)
+    left, right = here.left * 3.0, here.right * 3.0
+    quad = Quad()
+    quad.nw = left + above.left
+    quad.ne = right + above.right
+    quad.sw = left + below.left
+    quad.se = right + below.right
+    return quad
+
+
+@wp.func
+def downsample_pair(
+    texels: wp.array[wp.uint64], level: BloomLevel, finer: BloomLevel, block: wp.vec4i, place: wp.vec2i
+):
+    """Fill two texels, one below the other, which share four rows, from the next finer level.
+
+    48 loads and 258 operations.
+    """
+    x, y = block[1] + place[0], 2 * (block[2] + place[1])
+    if x < level.width and y < level.height:
+        columns = six_columns(finer, x)
+        a, b = six_texels(texels, finer, columns, 2 * y - 2), six_texels(texels, finer, columns, 2 * y - 1)
+        c, d = six_texels(texels, finer, columns, 2 * y), six_texels(texels, finer, columns, 2 * y + 1)
+        e, f = six_texels(texels, finer, columns, 2 * y + 2), six_texels(texels, finer, columns, 2 * y + 3)
+        g, h = six_texels(texels, finer, columns, 2 * y + 4), six_texels(texels, finer, columns, 2 * y + 5)
+        # Stores come last: what is loaded after one has to wait for it.
+        i = level.first + y * level.width + x
+        store_double_word(texels, i, half_texel(thirteen_taps(a, b, c, d, e, f)))
+        if y + 1 < level.height:
+            store_double_word(texels, i + level.width, half_texel(thirteen_taps(c, d, e, f, g, h)))
 
 
 @wp.kernel(grid_stride=False)
@@ -160,28 +217,12 @@ def downsample_kernel(
     # Out
     out_texels: wp.array[wp.uint64],
 ):
-    """Fill a level from the next finer one: one thread for two texels, one below the other, which share four rows.
-
-    A thread costs 48 loads and 258 operations.
-    """
+    """Fill a level from the next finer one: one thread for two texels."""
     thread = wp.tid() + first
     block = load_vec4i(blocks, pixel_block(thread))
-    place = pixel_in_block(thread)
-    level = levels[block[3]]
-    x, y = block[1] + place[0], 2 * (block[2] + place[1])
-    if x >= level.width or y >= level.height or views[block[0]].bloom <= 0.0:
-        return
-    finer = levels[block[3] - 1]
-    columns = six_columns(finer, x)
-    a, b = six_texels(out_texels, finer, columns, 2 * y - 2), six_texels(out_texels, finer, columns, 2 * y - 1)
-    c, d = six_texels(out_texels, finer, columns, 2 * y), six_texels(out_texels, finer, columns, 2 * y + 1)
-    e, f = six_texels(out_texels, finer, columns, 2 * y + 2), six_texels(out_texels, finer, columns, 2 * y + 3)
-    g, h = six_texels(out_texels, finer, columns, 2 * y + 4), six_texels(out_texels, finer, columns, 2 * y + 5)
-    # Stores come last: what is loaded after one has to wait for it.
-    i = level.first + y * level.width + x
-    store_double_word(out_texels, i, half_texel(thirteen_taps(a, b, c, d, e, f)))
-    if y + 1 < level.height:
-        store_double_word(out_texels, i + level.width, half_texel(thirteen_taps(c, d, e, f, g, h)))
+    if views[block[0]].bloom > 0.0:
+        level, finer = levels[block[3]], levels[block[3] - 1]
+        downsample_pair(out_texels, level, finer, block, pixel_in_block(thread))
 
 
 @wp.struct
@@ -210,6 +251,40 @@ def mixed(own: wp.vec3, wider: wp.vec3, level: BloomLevel):
     return half_texel(own * (1.0 - level.wider) + wider * (level.wider * (1.0 / 256.0)))
 
 
+@wp.func
+def upsample_quad(texels: wp.array[wp.uint64], level: BloomLevel, wider: BloomLevel, block: wp.vec4i, place: wp.vec2i):
+    """Mix the wider levels into the 2 x 2 texels that see the same 4 x 4; x and y count the wider texels' corners.
+
+    16 + 4 loads and 228 operations for the tents.
+    """
+    x, y = block[1] + place[0], block[2] + place[1]
+    if 2 * x <= level.width and 2 * y <= level.height:
+        columns = wp.vec4i(
+            mirrored(x - 2, wider.width, wider.edge_x),
+            mirrored(x - 1, wider.width, wider.edge_x),
+            mirrored(x, wider.width, wider.edge_x),
+            mirrored(x + 1, wider.width, wider.edge_x),
+        )
+        a, b = tent_row(texels, wider, columns, y - 2), tent_row(texels, wider, columns, y - 1)
+        c, d = tent_row(texels, wider, columns, y), tent_row(texels, wider, columns, y + 1)
+        up, down = 2 * y > 0, 2 * y < level.height
+        left, right = 2 * x > 0, 2 * x < level.width
+        x0, x1 = wp.max(2 * x - 1, 0), wp.min(2 * x, level.width - 1)
+        row0 = level.first + wp.max(2 * y - 1, 0) * level.width
+        row1 = level.first + wp.min(2 * y, level.height - 1) * level.width
+        p, q = word_value(texels, row0 + x0), word_value(texels, row0 + x1)
+        r, s = word_value(texels, row1 + x0), word_value(texels, row1 + x1)
+        # Stores come last: what is loaded after one has to wait for it.
+        if up and left:
+            store_double_word(texels, row0 + x0, mixed(p, tent_ahead(a.left, b.left, c.left, d.left), level))
+        if up and right:
+            store_double_word(texels, row0 + x1, mixed(q, tent_ahead(a.right, b.right, c.right, d.right), level))
+        if down and left:
+            store_double_word(texels, row1 + x0, mixed(r, tent_ahead(d.left, c.left, b.left, a.left), level))
+        if down and right:
+            store_double_word(texels, row1 + x1, mixed(s, tent_ahead(d.right, c.right, b.right, a.right), level))
+
+
 @wp.kernel(grid_stride=False)
 def upsample_kernel(
     # Frame
@@ -222,42 +297,12 @@ def upsample_kernel(
     # Out
     out_texels: wp.array[wp.uint64],
 ):
-    """Mix the wider levels into a level, in place: one thread for the 2 x 2 texels that see the same 4 x 4.
-
-    Threads count the corners of the wider level's texels. A thread costs 16 + 4 loads and 228 operations for the tents.
-    """
+    """Mix the wider levels into a level, in place: one thread for 2 x 2 texels."""
     thread = wp.tid() + first
     block = load_vec4i(blocks, pixel_block(thread))
-    place = pixel_in_block(thread)
-    level = levels[block[3]]
-    x, y = block[1] + place[0], block[2] + place[1]
-    if 2 * x > level.width or 2 * y > level.height or views[block[0]].bloom <= 0.0:
-        return
-    wider = levels[block[3] + 1]
-    columns = wp.vec4i(
-        mirrored(x - 2, wider.width, wider.edge_x),
-        mirrored(x - 1, wider.width, wider.edge_x),
-        mirrored(x, wider.width, wider.edge_x),
-        mirrored(x + 1, wider.width, wider.edge_x),
-    )
-    a, b = tent_row(out_texels, wider, columns, y - 2), tent_row(out_texels, wider, columns, y - 1)
-    c, d = tent_row(out_texels, wider, columns, y), tent_row(out_texels, wider, columns, y + 1)
-    up, down = 2 * y > 0, 2 * y < level.height
-    left, right = 2 * x > 0, 2 * x < level.width
-    x0, x1 = wp.max(2 * x - 1, 0), wp.min(2 * x, level.width - 1)
-    row0 = level.first + wp.max(2 * y - 1, 0) * level.width
-    row1 = level.first + wp.min(2 * y, level.height - 1) * level.width
-    p, q = word_value(out_texels, row0 + x0), word_value(out_texels, row0 + x1)
-    r, s = word_value(out_texels, row1 + x0), word_value(out_texels, row1 + x1)
-    # Stores come last: what is loaded after one has to wait for it.
-    if up and left:
-        store_double_word(out_texels, row0 + x0, mixed(p, tent_ahead(a.left, b.left, c.left, d.left), level))
-    if up and right:
-        store_double_word(out_texels, row0 + x1, mixed(q, tent_ahead(a.right, b.right, c.right, d.right), level))
-    if down and left:
-        store_double_word(out_texels, row1 + x0, mixed(r, tent_ahead(d.left, c.left, b.left, a.left), level))
-    if down and right:
-        store_double_word(out_texels, row1 + x1, mixed(s, tent_ahead(d.right, c.right, b.right, a.right), level))
+    if views[block[0]].bloom > 0.0:
+        level, wider = levels[block[3]], levels[block[3] + 1]
+        upsample_quad(out_texels, level, wider, block, pixel_in_block(thread))
 
 
 @wp.kernel(grid_stride=False)
@@ -267,7 +312,7 @@ def gather_kernel(
     blocks: wp.array[wp.vec4i],
     # In
     bright: wp.array[wp.uint64],
-    levels: wp.array[BloomLevel],
+    bloom: Bloom,
     # Params
     window: wp.int32,
     first: wp.int32,
@@ -282,9 +327,9 @@ def gather_kernel(
     thread = wp.tid() + first
     block = load_vec4i(blocks, pixel_block(thread))
     place = pixel_in_block(thread)
-    level = levels[block[3]]
+    level = bloom.levels[block[3]]
     x, y = block[1] + place[0], block[2] + place[1]
-    if x >= level.width or y >= level.height or views[block[0]].bloom <= 0.0:
+    if bloom.bright[0] == 0 or x >= level.width or y >= level.height or views[block[0]].bloom <= 0.0:
         return
     total = wp.vec3()
     for dy in range(-window, window + 1):

@@ -122,6 +122,16 @@ class PixelPair:
 
 
 @wp.struct
+class Rows:
+    """Two pixels of each of two rows, and the indices of the rows' first pixels."""
+
+    upper: PixelPair
+    lower: PixelPair
+    upper_index: wp.int32
+    lower_index: wp.int32
+
+
+@wp.struct
 class RowSums:
     """Weighted sums along two rows of pixels, and of the weights."""
 
@@ -176,22 +186,28 @@ def make_bright_kernel(half: bool, weighted: bool):
         return (before + after) + (a + b) * 3.0
 
     @wp.func
-    def two_rows(
+    def load_rows(radiance: wp.array[wp.uint64], color: wp.array[wp.vec3], view: View, columns: wp.vec4i, y: wp.int32):
+        """Pixels of rows y - 1 and y that are the lane's own."""
+        rows = Rows()
+        rows.upper_index = pixel_index(view, 0, mirrored(y - 1, view.height, 2 * view.height))
+        rows.lower_index = pixel_index(view, 0, mirrored(y, view.height, 2 * view.height))
+        rows.upper.left = pixel(radiance, color, rows.upper_index + columns[1])
+        rows.upper.right = pixel(radiance, color, rows.upper_index + columns[2])
+        rows.lower.left = pixel(radiance, color, rows.lower_index + columns[1])
+        rows.lower.right = pixel(radiance, color, rows.lower_index + columns[2])
+        return rows
+
+    @wp.func
+    def sum_rows(
         radiance: wp.array[wp.uint64],
         color: wp.array[wp.vec3],
         view: View,
         bloom: Bloom,
         columns: wp.vec4i,
-        y: wp.int32,
+        rows: Rows,
     ):
-        """Rows y - 1 and y, each summed; all four loads are on their way before the first value is looked at."""
-        row0 = pixel_index(view, 0, mirrored(y - 1, view.height, 2 * view.height))
-        row1 = pixel_index(view, 0, mirrored(y, view.height, 2 * view.height))
-        upper, lower = PixelPair(), PixelPair()
-        upper.left = pixel(radiance, color, row0 + columns[1])
-        upper.right = pixel(radiance, color, row0 + columns[2])
-        lower.left = pixel(radiance, color, row1 + columns[1])
-        lower.right = pixel(radiance, color, row1 + columns[2])
+        """Both rows, each summed."""
+        upper, lower = rows.upper, rows.lower
         most = wp.max(wp.max(upper.left, upper.right), wp.max(lower.left, lower.right))
         sums = RowSums()
         sums.upper = wp.vec4(0.0, 0.0, 0.0, 8.0)
@@ -200,8 +216,8 @@ def make_bright_kernel(half: bool, weighted: bool):
         # A lone lane does not see its neighbours' pixels.
         sums.lit = any_lane(may_scatter(most, e, bloom)) or warp_width() == 1
         if sums.lit:
-            sums.upper = row_sum(radiance, color, row0, columns, upper, e, bloom)
-            sums.lower = row_sum(radiance, color, row1, columns, lower, e, bloom)
+            sums.upper = row_sum(radiance, color, rows.upper_index, columns, upper, e, bloom)
+            sums.lower = row_sum(radiance, color, rows.lower_index, columns, lower, e, bloom)
         return sums
 
     @wp.func
@@ -228,6 +244,9 @@ def make_bright_kernel(half: bool, weighted: bool):
         # Out
         out_texels: wp.array[wp.uint64],
     ):
+        # Where shade saw nothing bright all of bloom is skipped; display looks at the same flag.
+        if bloom.bright[0] == 0:
+            return
         thread = wp.tid() + first
         strip = load_vec4i(strips, pixel_block(thread))
         level = bloom.levels[strip[3]]
@@ -251,8 +270,12 @@ def make_bright_kernel(half: bool, weighted: bool):
         i = level.first + start * level.width + x
         near = wp.vec4()
         lit = wp.bool(False)
+        rows = load_rows(radiance, color, view, columns, 2 * start)
         for k in range(count + 1):
-            sums = two_rows(radiance, color, view, bloom, columns, 2 * (start + k))
+            # The next rows are on their way while these are summed; mirrored, there is always another.
+            ahead = load_rows(radiance, color, view, columns, 2 * (start + k + 1))
+            sums = sum_rows(radiance, color, view, bloom, columns, rows)
+            rows = ahead
             if k > 0 and kept:
                 # 1 3 3 1 again, from both ends so that mirrored pictures agree.
                 word = pack_half4(0.0, 0.0, 0.0)

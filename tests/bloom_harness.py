@@ -10,7 +10,7 @@ import numpy as np
 import reference
 import warp as wp
 from warp_deferred.kernels.color import clamp_radiance
-from warp_deferred.kernels.display import make_scatter
+from warp_deferred.kernels.display import make_gathered, make_scatter, quad_indices
 from warp_deferred.kernels.intrinsics import load_vec4i
 from warp_deferred.kernels.projection import pixel_in_block, pixel_index
 from warp_deferred.kernels.structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, Bloom, View
@@ -45,7 +45,7 @@ KEEP = ("bloom.threshold=0", "bloom.fireflies=0")
 @functools.cache
 def make_mix_kernel(kind: str):
     """Kernel that stores exposed radiance after bloom, as display maps it."""
-    scatter = make_scatter(kind)
+    gathered, scatter = make_gathered(kind), make_scatter(kind)
 
     @wp.kernel(module="unique", module_options=MODULE_OPTIONS)
     def mix_kernel(
@@ -64,7 +64,12 @@ def make_mix_kernel(kind: str):
             return
         i = pixel_index(view, x, y)
         v = clamp_radiance(color[i] * view.exposure)
-        out_values[i] = scatter(v, color[i], view, block[0], wp.vec2i(x, y), i, bloom)
+        x0, y0 = x - (x & 1), y - (y & 1)
+        quad = gathered(view, block[0], x0, y0, quad_indices(view, x0, y0), bloom)
+        gained = wp.where(
+            (y & 1) == 0, wp.where((x & 1) == 0, quad.nw, quad.ne), wp.where((x & 1) == 0, quad.sw, quad.se)
+        )
+        out_values[i] = scatter(v, color[i], gained, view, bloom)
 
     return mix_kernel
 

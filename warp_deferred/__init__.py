@@ -18,6 +18,7 @@ __all__ = [
     "DirectionalLight",
     "Environment",
     "Error",
+    "Fit",
     "Frame",
     "InputError",
     "Instance",
@@ -32,6 +33,7 @@ __all__ = [
     "Settings",
     "SpotLight",
     "Texture",
+    "fit",
     "load",
 ]
 
@@ -46,6 +48,10 @@ def __getattr__(name: str) -> object:
         from .passes import base
 
         return getattr(base, name)
+    if name in ("fit", "Fit"):
+        from . import fitting
+
+        return getattr(fitting, name)
     if name in ("load", "LoadWarning"):
         from . import loading
 

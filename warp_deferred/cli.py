@@ -47,6 +47,10 @@ Sets = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="STAGE.FIELD=VALUE", help="Change a setting; may be repeated."),
 ]
+Preset = Annotated[
+    str | None,
+    typer.Option("--preset", metavar="NAME", help="draft, balanced, high or reference; --set goes before it."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON on stdout, and nothing else there.")]
 
 
@@ -62,6 +66,7 @@ def _examples(*lines: str) -> str:
         "warp-deferred render duck.glb -o duck.png --size 640x360 --eye 0,1.5,4 --target 0,0.8,0",
         "warp-deferred render 'terrain?triangles=20000' -o terrain.png --set display.tone_mapping=aces",
         "warp-deferred render hundred_lights -o tiles.png --view tiles",
+        "warp-deferred render hundred_lights -o hall.png --budget-ms 1.0",
         "warp-deferred render hundred_lights -o out/hall.%04d.png --frames 0:120 --fps 30",
     )
 )
@@ -107,6 +112,18 @@ def render(
     check_finite: Annotated[
         bool, typer.Option("--check-finite", help="Fail where a pass writes NaN or Inf; names pass, output, pixel.")
     ] = False,
+    preset: Preset = None,
+    budget_ms: Annotated[
+        float | None,
+        typer.Option("--budget-ms", metavar="F", help="Buy the accuracy that a frame of F ms allows, and tell what."),
+    ] = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option("--max-error", metavar="E", help="Buy the fastest frame off by at most E (RMSE, such as 0.02)."),
+    ] = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Measure prices for the budget anew, and keep none.")
+    ] = False,
     plan: Annotated[bool, typer.Option("--plan", help="Print what runs, why, and what it costs.")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")] = False,
 ) -> None:
@@ -122,8 +139,9 @@ def render(
     outputs = arguments.wanted_outputs(files, arguments.parse_layers(layers))
     if view is not None:
         set_ = [*(set_ or ()), f"display.view={arguments.check_view(view, outputs)}"]
+    arguments.check_wishes(budget_ms, max_error, preset, view)
     points = arguments.parse_points(eye, target)
-    scene, settings, chosen = _open(source, set_, device, quiet)
+    scene, settings, chosen = _open(source, set_, device, quiet, preset)
     if wanted_frames is not None:
         arguments.check_moves(scene, source)
     scene.camera = arguments.choose_camera(scene, camera, *points, vertical_fov_deg, exposure)
@@ -132,6 +150,12 @@ def render(
 
     from .renderer import Renderer
 
+    if budget_ms is not None or max_error is not None:
+        settings = _buy(
+            scene, quiet, budget_ms=budget_ms, max_error=max_error, width=width, height=height, device=chosen,
+            outputs=outputs, settings=settings, cache=not no_cache,
+            time_s=wanted_frames[0] / rate if wanted_frames is not None else 0.0,
+        )  # fmt: skip
     renderer = Renderer(scene, width=width, height=height, device=chosen, outputs=outputs, settings=settings)
     _prepare(renderer, quiet)
     ready = time.perf_counter()
@@ -148,6 +172,17 @@ def render(
         f"wrote {names} ({width}x{height}, {chosen}): {ready - started:.1f} s to load and compile, "
         f"{done - ready:.2f} s to render and write"
     )
+
+
+def _buy(scene: Scene, quiet: bool, **wishes: Any) -> Settings:
+    """Have settings bought for a budget, and tell what was bought."""
+    from .fitting import fit
+
+    with _bar("measuring", quiet) as advance:
+        bought = fit(scene, progress=advance, **wishes)
+    if not quiet:
+        typer.echo(str(bought))
+    return bought.settings
 
 
 def _write(renderer: Any, files: list[Path], frames: range | None, rate: float, quiet: bool) -> list[Path]:
@@ -180,6 +215,7 @@ def explain(
     size: Size = "1280x720",
     device: Device = None,
     set_: Sets = None,
+    preset: Preset = None,
     layers: Annotated[
         str | None, typer.Option("--layers", metavar="A,B", help="Outputs asked for; left out: display.")
     ] = None,
@@ -192,7 +228,7 @@ def explain(
 
     width, height = arguments.parse_size(size)
     outputs = arguments.parse_layers(layers) or ("display",)
-    scene, settings, chosen = _open(source, set_, device, quiet=True)
+    scene, settings, chosen = _open(source, set_, device, quiet=True, preset=preset)
 
     from .renderer import Renderer
 
@@ -266,14 +302,17 @@ def scenes(as_json: Json = False) -> None:
     typer.echo(json.dumps(listed, indent=2) if as_json else scene_text(listed))
 
 
-def _open(source: str, sets: Sequence[str] | None, device: str | None, quiet: bool) -> tuple[Scene, Settings, str]:
+def _open(
+    source: str, sets: Sequence[str] | None, device: str | None, quiet: bool, preset: str | None = None
+) -> tuple[Scene, Settings, str]:
     """Check settings and device, which is quick, then load the scene; its notes go to stderr."""
     from . import cli_arguments as arguments
     from .loading import load
     from .settings import Settings
 
     assignments = list(sets or ())
-    Settings().with_values(assignments)
+    fields = {} if preset is None else {"preset": preset}
+    Settings(**fields).with_values(assignments)
     chosen = arguments.choose_device(device)
     with warnings.catch_warnings():
         # What a loader warns of is among the notes as well.
@@ -282,7 +321,7 @@ def _open(source: str, sets: Sequence[str] | None, device: str | None, quiet: bo
     if not quiet:
         for note in scene.notes:
             typer.echo(f"note: {note}", err=True)
-    return scene, scene.settings.with_values(assignments), chosen
+    return scene, scene.settings.replace(**fields).with_values(assignments), chosen
 
 
 def _prepare(renderer: Any, quiet: bool) -> None:

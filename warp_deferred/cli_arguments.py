@@ -25,6 +25,7 @@ __all__ = [
     "check_moves",
     "check_outs",
     "check_view",
+    "check_wishes",
     "choose_camera",
     "choose_device",
     "frame_path",
@@ -126,6 +127,21 @@ def check_view(name: str, outputs: Sequence[str]) -> str:
     if "display" not in outputs:
         raise input_error("--view", "a .png among the outputs to show it", name, "add -o NAME.png")
     return name
+
+
+def check_wishes(budget_ms: float | None, max_error: float | None, preset: str | None, view: str | None = None) -> None:
+    """Refuse budgets and errors that are no number above zero, and what cannot stand together with them."""
+    wishes = {"--budget-ms": budget_ms, "--max-error": max_error}
+    for label, value in wishes.items():
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise input_error(label, "a number > 0", value, f"such as {label} {'1.0' if 'ms' in label else '0.02'}")
+    given = [label for label, value in wishes.items() if value is not None]
+    if given and preset is not None:
+        raise input_error(
+            "--preset", f"none beside {given[0]}", preset, "a budget chooses every rung that --set does not"
+        )
+    if given and view not in (None, "picture"):
+        raise input_error("--view", f"none beside {given[0]}", view, "errors are those of the picture")
 
 
 def view_legend(name: str) -> str:

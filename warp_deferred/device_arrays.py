@@ -1,14 +1,16 @@
-"""Arrays of the scene that users hand in: whatever holds numbers, as float32 on the device that renders."""
+"""The device that renders, and arrays that users hand in: whatever holds numbers, as float32 on that device."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import warp as wp
 
 from .checks import input_error
+from .errors import DeviceError
 
-__all__ = ["as_float_array"]
+__all__ = ["as_float_array", "find_device"]
 
 
 def as_float_array(name: str, value: object, device: wp.Device, *shapes: tuple[int, ...]) -> wp.array:
@@ -45,3 +47,16 @@ def as_float_array(name: str, value: object, device: wp.Device, *shapes: tuple[i
     # A pointer keeps nothing alive: what `to` or DLPack made must outlast the launch that reads it.
     result._ref = array
     return result
+
+
+def find_device(name: Any) -> wp.Device:
+    """Return the Warp device of that name; the current default for None.
+
+    Raises:
+        DeviceError: If there is none.
+    """
+    try:
+        return wp.get_device(name)
+    except Exception as error:
+        known = ", ".join(str(d) for d in wp.get_devices())
+        raise DeviceError(f"device: expected one of {known}, got {name!r}; leave it out for the default") from error

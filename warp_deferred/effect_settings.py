@@ -97,7 +97,7 @@ class BloomSettings(Record):
 
     rung: Literal["off", "neighbourhood", "mip_chain", "exact"] = "mip_chain"
     """neighbourhood: mean of a square window at half size, which shows as a square around small lamps, two launches;
-    mip_chain: a pyramid of half sizes, a third more pixels and two launches a level; exact: every Gaussian summed at
+    mip_chain: a pyramid of half sizes, a third more pixels, two launches on CUDA; exact: every Gaussian summed at
     full size in float32, thousands of operations a pixel (reference)."""
     when: Literal["called_for", "always"] = "called_for"
     """called_for: where a camera's lens has bloom; always: wherever `display` is asked for."""
@@ -108,7 +108,7 @@ class BloomSettings(Record):
     """Half the width of the soft start around the threshold, as a share of it [1]; 0: a hard start. Free."""
     radius: float = Field(0.07, gt=0.0, le=0.5)
     """Standard deviation of the widest Gaussian of mip_chain and exact as a share of the picture's height [1]; rounded
-    to the next level, each twice as wide as the one before. A doubling costs two launches over few pixels."""
+    to the next level, each twice as wide as the one before. A doubling costs two steps over few pixels."""
     falloff: float = Field(0.7, gt=0.0, le=2.0)
     """Weight of each Gaussian in relation to the next narrower one [1]; the glow falls off like the distance to the
     power log2(falloff) - 2. Free."""

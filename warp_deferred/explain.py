@@ -11,7 +11,7 @@ from .plan import Plan
 from .scene import Scene
 from .selection import PassReport
 
-__all__ = ["Explanation", "MemoryReport"]
+__all__ = ["Explanation", "MemoryReport", "table"]
 
 
 def _size(count: int | None) -> str:
@@ -20,7 +20,8 @@ def _size(count: int | None) -> str:
     return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
 
 
-def _table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) -> str:
+def table(title: str, columns: list[tuple[str, str]], rows: list[list[str]]) -> str:
+    """Lay out a table for the screen; a column is its name and the side it is aligned to."""
     from rich.console import Console
     from rich.table import Table
 
@@ -102,7 +103,7 @@ class Explanation:
             ("bytes", "right"),
             ("why", "left"),
         ]
-        return _table(self.title, columns, rows) + "\n" + "\n".join(f"  {note}" for note in self.notes)
+        return table(self.title, columns, rows) + "\n" + "\n".join(f"  {note}" for note in self.notes)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, for JSON."""
@@ -156,7 +157,7 @@ class MemoryReport:
         rows += [["transient buffers share", _size(self.shared)], ["outputs", _size(self.outputs)]]
         rows += [["tables, views, lights", _size(self.tables)], ["beside the scene", _size(self.total)]]
         rows += [["scene", _size(self.scene)]] + [["trees for rays", _size(self.rays)]] * (self.rays > 0)
-        return _table("device memory", [("buffer", "left"), ("bytes", "right")], rows)
+        return table("device memory", [("buffer", "left"), ("bytes", "right")], rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, for JSON."""

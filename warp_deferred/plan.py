@@ -126,11 +126,11 @@ class Plan:
         if condition is not None and stage.image == "turn":
             target, source = resources.channels[stage.target], resources.channels[stage.source]
             otherwise = functools.partial(wp.copy, target, source)
-        resources.program.begin(stage.name, part, condition, otherwise, beside)
+        resources.program.begin(stage.name, part, condition, otherwise, beside, stage.leaves_early)
         stage.run(resources)
         if self.finite_check is not None:
             self.finite_check.add(stage)
-        conditions = [s.name for s in resources.program.sections if s.condition is not None]
+        conditions = [s.name for s in resources.program.sections if s.condition is not None and not s.leaves_early]
         if len(conditions) > MAX_ACTIVE:
             raise Error(
                 f"{stage.name}.active: expected at most {MAX_ACTIVE} passes with a condition on the device, got "

@@ -73,6 +73,7 @@ class Section:
         condition: Device array of one int32; while it is 0 `otherwise` runs in place of the steps.
         otherwise: Called while the section is skipped.
         beside: How many of the sections behind it run at the same time on CUDA.
+        leaves_early: Whether its kernels look at the condition themselves: on CUDA they are launched in any case.
     """
 
     name: str
@@ -80,6 +81,7 @@ class Section:
     condition: wp.array | None = None
     otherwise: Callable[[], Any] | None = None
     beside: int = 0
+    leaves_early: bool = False
     steps: list[list[Callable[[], Any]]] = dataclasses.field(default_factory=list)
 
     @property
@@ -113,9 +115,10 @@ class Program:
         condition: wp.array | None = None,
         otherwise: Callable[[], Any] | None = None,
         beside: int = 0,
+        leaves_early: bool = False,
     ) -> None:
         """Start the section of a pass; parts come in order."""
-        self.sections.append(Section(name, part, condition, otherwise, beside))
+        self.sections.append(Section(name, part, condition, otherwise, beside, leaves_early))
 
     def launch(
         self,
@@ -217,7 +220,7 @@ class Program:
 
     def run_section(self, section: Section) -> None:
         """Run one pass's steps directly, or skip them."""
-        if section.condition is None:
+        if section.condition is None or (section.leaves_early and self.device.is_cuda):
             self._run_steps(section)
         elif self.device.is_cuda:
             # Under capture a node of the graph decides; else the value is waited for and read.

@@ -16,10 +16,9 @@ import warp as wp
 from .camera import Camera
 from .channels import OUTPUTS
 from .checks import check_choice, check_count, input_error
-from .device_arrays import as_float_array
+from .device_arrays import as_float_array, find_device
 from .device_scene import DeviceScene
 from .effects import called_for
-from .errors import DeviceError
 from .explain import Explanation, MemoryReport
 from .features import Features
 from .frame import Frame
@@ -92,13 +91,11 @@ class Renderer:
             raise input_error(
                 "Renderer.outputs", "at least one name", "<nothing>", 'the picture is outputs=("display",)'
             )
-        if settings is not None and not isinstance(settings, Settings):
-            raise input_error("Renderer.settings", "a Settings object", type(settings).__name__)
-        self._settings = settings
-        self.device = _device(device)
+        self.settings = settings
+        self.device = find_device(device)
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         wanted = cores if threads is None else check_count("Renderer.threads", threads, 1, 256)
-        self._threads = 0 if self.device.is_cuda else wanted
+        self.threads = 0 if self.device.is_cuda else wanted
         self._share_memory = bool(share_memory)
         self._passes = check_passes(passes, PASSES)
         self._plans: dict[Request, Plan] = {}
@@ -117,22 +114,35 @@ class Renderer:
 
     @property
     def settings(self) -> Settings:
-        """The settings in force."""
+        """The settings in force; assign others to render with them from the next frame on."""
         return self._settings or self.scene.settings
+
+    @settings.setter
+    def settings(self, value: Settings | None) -> None:
+        if value is not None and not isinstance(value, Settings):
+            raise input_error("Renderer.settings", "a Settings object", type(value).__name__)
+        self._settings = value
 
     @property
     def plan(self) -> Plan | None:
         """The plan of the last frame: passes, buffers and program, to look at and to time; None before the first."""
         return self._plan
 
-    def prepare(self, progress: Callable[[str, int, int], None] | None = None, *, views: int = 1) -> None:
+    def prepare(
+        self,
+        progress: Callable[[str, int, int], None] | None = None,
+        *,
+        views: int = 1,
+        camera: Camera | Sequence[Camera] | None = None,
+    ) -> None:
         """Build the plan and compile all it needs, so that the first `render` is as quick as the next.
 
         Args:
             progress: Called with (kernel, done, total) before each module is compiled or loaded.
             views: Number of views a frame will have.
+            camera: The camera or cameras the frame will be rendered with; the scene's, once a view, if left out.
         """
-        cameras = [self.scene.camera or Camera()] * views
+        cameras = [self.scene.camera or Camera()] * views if camera is None else self.cameras_of(camera)
         if any(c.lens_flags & 2 for c in cameras):
             self._watch(cameras, None)
         self._look_up(cameras, progress)
@@ -152,7 +162,7 @@ class Renderer:
             InputError: If there is no camera or an argument does not fit.
             Error: If `Settings.check_finite` is set and a pass wrote a number that is not finite.
         """
-        cameras = self._cameras(camera)
+        cameras = self.cameras_of(camera)
         if any(c.lens_flags & 2 for c in cameras):
             self._watch(cameras, poses)
         plan = self._look_up(cameras, None)
@@ -213,7 +223,12 @@ class Renderer:
             block_dim=cluster_kernels.BLOCK_DIM,
         )
 
-    def _cameras(self, camera: Camera | Sequence[Camera] | None) -> list[Camera]:
+    def cameras_of(self, camera: Camera | Sequence[Camera] | None) -> list[Camera]:
+        """Return the cameras that `render(camera)` would take: the one or those given, or the scene's.
+
+        Raises:
+            InputError: If there is none.
+        """
         if camera is None:
             camera = self.scene.camera
             if camera is None:
@@ -292,7 +307,7 @@ class Renderer:
             features=self._features,
             **self._capacities([c.world for c in cameras]),
             scene_key=self._scene_key,
-            threads=self._threads,
+            threads=self.threads,
             share_memory=self._share_memory,
             moving=self._moving,
             lens=Lens.of(functools.reduce(operator.or_, [c.lens_flags for c in cameras])),
@@ -383,11 +398,3 @@ def _capacity(count: int, whole: int) -> int:
     if count <= 0:
         return 0
     return count if count % max(whole, 1) == 0 else 1 << (count - 1).bit_length()
-
-
-def _device(device: Any) -> wp.Device:
-    try:
-        return wp.get_device(device)
-    except Exception as error:
-        known = ", ".join(str(d) for d in wp.get_devices())
-        raise DeviceError(f"device: expected one of {known}, got {device!r}; leave it out for the default") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from .effect_settings import (
     AmbientVisibilitySettings,
@@ -113,10 +113,30 @@ class Settings(Record):
     """Whether every pass's numbers are looked at, and a frame with one that is not finite is an error that names pass,
     output, view, pixel and value: a debugging aid, which waits for each frame."""
 
+    preset: Literal["none", "draft", "balanced", "high", "reference"] = "none"
+    """A rung for every ladder at once, chosen from measurements: presets.py tells each one's price and error. What is
+    set beside it, field by field, goes before it. draft: for time; balanced; high: the best rungs that do not take
+    many samples of what one would do for; reference: every ladder's most accurate rung, seconds a frame."""
+
     @property
     def stages(self) -> list[str]:
         """Names of the fields that hold a stage's settings."""
         return [name for name in type(self).model_fields if isinstance(getattr(self, name), Record)]
+
+    @model_validator(mode="after")
+    def _take_preset(self) -> Settings:
+        if self.preset == "none":
+            return self
+        from .presets import PRESETS
+
+        for stage, fields in PRESETS[self.preset].items():
+            given = getattr(self, stage)
+            own = {name: getattr(given, name) for name in given.model_fields_set}
+            filled = type(given)(**(_numbers(fields) | own))
+            # Neither counts as set by hand: another preset may take their place.
+            filled.__pydantic_fields_set__.intersection_update(own)
+            self.__dict__[stage] = filled
+        return self
 
     def with_values(self, assignments: list[str]) -> Settings:
         """Return a copy with `stage.field=value` assignments applied.
@@ -135,7 +155,10 @@ class Settings(Record):
             check_choice("Settings", stage, self.stages)
             current: Any = getattr(result, stage)
             check_choice(f"Settings.{stage}", field, type(current).model_fields)
-            word = value.strip()
-            number = int(word) if word.lstrip("-").isdigit() else word
-            result = result.replace(**{stage: current.replace(**{field: number})})
+            result = result.replace(**{stage: current.replace(**_numbers({field: value.strip()}))})
         return result
+
+
+def _numbers(fields: dict[str, str]) -> dict[str, Any]:
+    """Whole numbers as such: a choice among them is not made by a text."""
+    return {name: int(word) if word.lstrip("-").isdigit() else word for name, word in fields.items()}

@@ -7,7 +7,7 @@ import pytest
 import reference
 from bloom_harness import KEEP, RUNGS, Blooming, bloom_of, gaussians_of, lamps, noise, request_of, rung, shown
 
-from warp_deferred.passes.bloom import BloomPass
+from warp_deferred.passes.bloom import CHAINED, KINDS, BloomPass
 from warp_deferred.views import ViewLayout, ViewSize
 
 SIZES = [(64, 48), (33, 17), (1, 1), (1, 9), (7, 1), (2, 2), (135, 40), (65, 129)]
@@ -109,8 +109,9 @@ def test_m2_a_constant_image_stays(name, fireflies, width, height, device):
         stage.run()
         count = 1
         if name == "mip_chain":
-            # `widen_kernel` keeps the widest level nowhere.
-            count = stage.stage.pyramid.count - any(k.key == "widen_kernel" for k, _, _ in stage.stage.steps)
+            # The chain keeps the widest level nowhere where it widens.
+            pyramid = stage.stage.pyramid
+            count = pyramid.count - (stage.stage.chained and "widen" in dict(pyramid.steps(True)))
         for index in range(count):
             level = stage.level(index=index)
             np.testing.assert_allclose(level, np.broadcast_to(image[0, 0], level.shape), rtol=1e-6)
@@ -240,26 +241,37 @@ def test_threads_change_no_bit(name):
     "sizes", [[(64, 48)], [(33, 17)], [(3, 300), (135, 40), (65, 129)], [(640, 360)], [(641, 363), (97, 61), (1, 1)]]
 )
 def test_levels_made_together_have_the_bits_of_levels_made_one_by_one(sizes, radius, device):
-    """What `narrow_kernel` and `widen_kernel` make against `downsample_kernel` and `upsample_kernel`."""
+    """What `chain_kernel` makes in two frames against `downsample_kernel` and `upsample_kernel`."""
     pictures = [noise(w, h, seed) for seed, (w, h) in enumerate(sizes)]
     # A view that does not scatter makes nothing.
     shares = np.linspace(0.0 if len(sizes) == 3 else 1.0, 1.0, len(sizes))
     fields = ("bloom.threshold=0", f"bloom.radius={radius}")
     alone, together = (
-        Blooming(pictures, *fields, shares=shares, together=t, device=device).run() for t in (False, True)
+        Blooming(pictures, *fields, shares=shares, together=t, device=device).run().run() for t in (False, True)
     )
+    assert together.stage.chained and not alone.stage.chained
+    assert not together.stage.counters.numpy().any()
     for v, share in enumerate(shares):
         assert np.array_equal(alone.level(v), together.level(v), equal_nan=True)
         assert np.isfinite(together.level(v)).all() == (share > 0.0)
     if radius == 0.5 and sizes[0] == (64, 48):
-        names = [kernel.key for kernel, _, _ in together.stage.steps]
-        assert names == ["narrow_kernel", "widen_kernel"]
+        assert [name for name, _ in together.stage.pyramid.steps(True)] == ["narrow", "widen"]
 
 
-def test_a_1080p_frame_takes_seven_launches():
+def test_a_1080p_frame_takes_six_steps_of_waiting():
     request = request_of((ViewSize(1920, 1080),))
-    steps = BloomPass().bound(request, ViewLayout(request.sizes, 16)).pyramid.steps(True)
-    assert [name for name, _ in steps] == ["downsample", "downsample", "narrow", "widen", "upsample", "upsample"]
+    pyramid = BloomPass().bound(request, ViewLayout(request.sizes, 16)).pyramid
+    names = ["downsample", "downsample", "narrow", "widen", "upsample", "upsample"]
+    assert [name for name, _ in pyramid.steps(True)] == names
+    items, steps, count = pyramid.chain()
+    assert count == 6 and len(items) == CHAINED * len(steps) and (np.diff(steps[:, 0]) >= 0).all()
+    sizes = np.bincount(steps[:, 0])
+    for k, (name, blocks) in enumerate(pyramid.steps(True)):
+        own = items.reshape(-1, CHAINED, 4)[steps[:, 0] == k].reshape(-1, 4)
+        assert np.array_equal(own[: len(blocks)], blocks) and (own[len(blocks) :] == -1).all()
+        # What it is, the blocks it waits for, and those that are counted: negative in the last step.
+        row = (k, KINDS.index(name), sizes[k - 1] if k else 0, sizes[k] if k < 5 else -sizes[k])
+        assert (steps[steps[:, 0] == k] == row).all()
 
 
 @pytest.mark.gpu

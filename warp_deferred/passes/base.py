@@ -141,6 +141,9 @@ class Pass(abc.ABC):
     beside: ClassVar[tuple[str, ...]] = ()
     #: What the device array of `active` says, in words: "some pixel exceeds the threshold".
     active_if: ClassVar[str] = ""
+    #: Whether its kernels look at the array of `active` themselves and leave at once while it is 0: its launches then
+    #: take no conditional node of the graph, which costs as much as six launches that leave.
+    leaves_early: bool = False
 
     request: Request
     layout: ViewLayout
@@ -195,7 +198,8 @@ class Pass(abc.ABC):
 
         It must be written by an earlier pass of the frame. A pass that turns the image is replaced by a copy of it
         while it is skipped; other channels it writes keep what they held, so whoever reads them reads the array, too.
-        At most two passes of a plan may have one, and on CUDA their launches run one after another.
+        At most two passes of a plan may have one, and on CUDA their launches run one after another; those that
+        `leaves_early` is true of do not count.
         """
         return None
 

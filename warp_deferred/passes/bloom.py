@@ -22,8 +22,10 @@ __all__ = ["BloomPass", "Pyramid", "bright_level", "level_count", "make_bloom", 
 
 #: A level more than any picture has pixels for would be one texel of everything, like the one before.
 MAX_LEVELS = 14
-#: Kernels of several small levels.
-SMALL = ("narrow", "widen")
+#: Kinds of launches, or of steps of the chain, in the order of its constants.
+KINDS = ("downsample", "narrow", "widen", "upsample")
+#: Items of a block of the chain, as in its kernel file.
+CHAINED = 4
 #: Most texels, of all views, of the level that a single launch mixes all wider ones into: level 3 at 1080p. It makes
 #: as many again of each of those.
 WIDEN_TEXELS = 65536
@@ -142,10 +144,10 @@ class Pyramid:
         return next((k for k in range(self.count) if totals[k] <= limit), self.count)
 
     def steps(self, together: bool) -> list[tuple[str, np.ndarray]]:
-        """Launches that turn level 1 into bloom: kernel without its ending, and blocks.
+        """Steps that turn level 1 into bloom: one of KINDS, and blocks.
 
         Args:
-            together: Make several small levels in a launch: the same texels, less waiting, more work.
+            together: Make several small levels in a step: the same texels, less waiting, more work.
         """
         mixed = self.first_below(WIDEN_TEXELS) if together else self.count
         pairs = max(1, self.first_below(NARROW_TEXELS)) if together else self.count
@@ -165,6 +167,17 @@ class Pyramid:
             # Corners of the wider level's texels.
             steps.append(("upsample", self.blocks(k, views, (8, 8), lambda w, h: (w // 2 + 1, h // 2 + 1))))
         return [(name, blocks) for name, blocks in steps if len(blocks)]
+
+    def chain(self) -> tuple[np.ndarray, np.ndarray, int]:
+        """All steps in a list: items, what `chain_kernel` knows of each four, both (b, 4) int32, and how many steps."""
+        items, rows, steps, before = [np.zeros((0, 4), np.int32)], [np.zeros((0, 4), np.int32)], self.steps(True), 0
+        for k, (name, blocks) in enumerate(steps):
+            count = -(-len(blocks) // CHAINED)
+            items += [blocks, np.full((count * CHAINED - len(blocks), 4), -1, np.int32)]
+            row = (k, KINDS.index(name), before, count if k + 1 < len(steps) else -count)
+            rows.append(np.tile(np.array(row, np.int32), (count, 1)))
+            before = count
+        return np.concatenate(items), np.concatenate(rows), len(steps)
 
 
 @functools.lru_cache(maxsize=16)
@@ -198,12 +211,17 @@ class BloomPass(Pass):
     image = "read"
     scope = "frame_end"
     active_if = "some pixel exceeds the threshold"
-    #: Whether small levels share launches; None: on a GPU.
+    #: Whether all levels but the first are made in one launch; None: on a GPU.
     together: bool | None = None
 
     def active(self, resources: Resources) -> wp.array | None:
         """Shade's flag; display tests it too, so that nothing stale shows where the pass was skipped."""
         return None if bright_level(self.request) is None else resources.frame.bright
+
+    @property
+    def leaves_early(self) -> bool:
+        """Two launches that look at the flag are cheaper than a conditional node; the reference has dozens."""
+        return self.rung() != "exact"
 
     def rung(self) -> str:
         """Rung of the ladder."""
@@ -239,22 +257,25 @@ class BloomPass(Pass):
         shown = pyramid.having(0)
         strips = pyramid.blocks(0, shown, (bloom_bright.STRIP_WIDTH, 2 * bloom_bright.STRIP_HEIGHT))
         self.strips = (table_array(strips, device), len(strips))
+        self.chained = settings.rung == "mip_chain" and (device.is_cuda if self.together is None else self.together)
         if settings.rung == "neighbourhood":
             steps = [("gather", pyramid.blocks(0, shown, (8, 8)))]
-        elif settings.rung == "mip_chain":
-            steps = pyramid.steps(device.is_cuda if self.together is None else self.together)
-        self.steps = [(self._kernel(name), table_array(blocks, device), len(blocks)) for name, blocks in steps]
-        # Where lanes share no memory of their own, every block has some here.
-        blocks = 0 if device.is_cuda else max([len(blocks) for name, blocks in steps if name in SMALL], default=0)
-        self.scratch = wp.zeros(max(128 * blocks, 1), dtype=wp.uint64, device=device)
+        elif self.chained:
+            self._prepare_chain(device)
+        else:
+            steps = pyramid.steps(False)
+        self.steps = [
+            (getattr(bloom, f"{name}_kernel"), table_array(blocks, device), len(blocks)) for name, blocks in steps
+        ]
 
-    def _kernel(self, name: str) -> wp.Kernel:
-        """Fetch a kernel of the pyramid or the window."""
-        if name in SMALL:
-            from ..kernels import bloom_small
+    def _prepare_chain(self, device: wp.Device) -> None:
+        """Upload the items; on the CPU, where blocks have no memory of their own, the lane at work has some here."""
+        from ..kernels import bloom_chain
 
-            return getattr(bloom_small, f"{name}_kernel")
-        return getattr(self.kernels, f"{name}_kernel")
+        items, steps, count = self.pyramid.chain()
+        self.chain, self.items = bloom_chain, (table_array(items, device), table_array(steps, device), len(items))
+        self.counters = wp.zeros(32 * (count + 1), dtype=wp.int32, device=device)
+        self.scratch = wp.zeros(1 if device.is_cuda else bloom_chain.SHARED, dtype=wp.uint64, device=device)
 
     def _prepare_exact(self, device: wp.Device) -> None:
         """Weights of all Gaussians, out to five standard deviations, views of one height sharing theirs."""
@@ -286,22 +307,24 @@ class BloomPass(Pass):
         if self.rung() == "exact":
             self._run_exact(resources)
             return
-        levels, texels = self.bloom.levels, resources.channels["bloom"]
-        settings = self.request.settings.bloom
-        bright = resources.channels["bloom_bright"] if settings.rung == "neighbourhood" else texels
+        frame, texels, window = resources.frame, resources.channels["bloom"], self.rung() == "neighbourhood"
+        bright = resources.channels["bloom_bright"] if window else texels
 
         def launch(kernel: wp.Kernel, blocks: wp.array, count: int, inputs: list, out: wp.array) -> None:
-            values = [resources.frame.views, blocks, *inputs, FIRST]
+            values = [frame.views, blocks, *inputs, FIRST]
             resources.program.launch(kernel, count * 64, values, [out], block_dim=self.kernels.BLOCK_DIM, band=64)
 
         launch(self.bright, *self.strips, [self.radiance, self.color, self.bloom], bright)
         for kernel, blocks, count in self.steps:
-            inputs = [levels]
-            if settings.rung == "neighbourhood":
-                inputs = [bright, levels, settings.window]
-            elif kernel.key.startswith(SMALL):
-                inputs = [levels, self.scratch]
+            inputs = [bright, self.bloom, self.request.settings.bloom.window] if window else [self.bloom.levels]
             launch(kernel, blocks, count, inputs, texels)
+        if self.chained:
+            # No band: the items are done in order.
+            items, steps, count = self.items
+            inputs, outputs = [frame.views, items, steps, self.bloom, self.scratch], [self.counters, texels]
+            resources.program.launch(
+                self.chain.chain_kernel, count * 64, inputs, outputs, block_dim=self.chain.BLOCK_DIM
+            )
 
     def _run_exact(self, resources: Resources) -> None:
         kernels, frame, blocks = self.kernels, resources.frame, resources.blocks

@@ -78,10 +78,18 @@ class DisplayPass(Pass):
     def run(self, resources: Resources) -> None:
         """One launch."""
         image = make_image(resources, self.request, self.source)
-        inputs = [resources.frame.views, resources.blocks, image.half, image.full, self.thresholds, self.bloom, FIRST]
+        inputs = [
+            resources.frame.views,
+            resources.bin_tiles,
+            image.half,
+            image.full,
+            self.thresholds,
+            self.bloom,
+            FIRST,
+        ]
         resources.program.launch(
             self.kernel,
-            len(self.layout.blocks) * 64,
+            self.layout.shown_bins * 64,
             inputs,
             [resources.channels[self.written]],
             block_dim=kernels.BLOCK_DIM,

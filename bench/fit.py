@@ -1,0 +1,185 @@
+"""Bench `fit`: how long a fit takes, whether its choice keeps the budget, and how near it comes to the best there is.
+
+The best is found by trying: on each scene every combination of rungs that the scene calls for is rendered and timed as
+a fit times frames, but for rungs that trace rays and frames far past the largest budget. All errors of this bench,
+those of the fit's choices among them, are taken against one picture, whose ladders trace more rays than the fit's own
+reference does. A combination counts as possible in a budget where its median keeps it, while a fit's choice must keep
+it in 19 of 20 frames: the comparison is in favour of the trying.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import statistics
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import warp as wp
+
+from warp_deferred import Renderer, Scene, Settings
+from warp_deferred.fitting import Fit, fit
+from warp_deferred.fitting.ladders import held_fields
+from warp_deferred.fitting.model import Choice, Market
+from warp_deferred.fitting.probe import Probe
+from warp_deferred.fitting.report import assignments
+from warp_deferred.fitting.survey import Survey, Surveyor
+
+from .ladders import SCENES, stand_size
+from .record import Record
+
+__all__ = ["CASES", "Case", "combinations", "run"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """A scene and its budgets.
+
+    Attributes:
+        scene: Name among the scenes of the accuracy bench.
+        budgets_ms: Budgets on CUDA [ms].
+        factors: Budgets on the CPU, as multiples of the frame that has one sample and every ladder at its base.
+    """
+
+    scene: str
+    budgets_ms: tuple[float, ...]
+    factors: tuple[float, ...] = (1.5,)
+
+
+CASES = (Case("hundred_lights", (0.5, 1.0, 2.0), (1.0, 3.0)), Case("shadows", (1.0, 2.0)))
+#: Rays and samples of the picture that errors are taken against.
+JUDGE_COUNTS = {"ambient_visibility": 64, "shadow": 16}
+#: A quick run judges by these.
+QUICK_COUNTS = {"ambient_visibility": 4, "shadow": 4}
+#: Frames of each combination that are timed.
+FRAMES = 5
+#: Combinations past so many times the largest budget, as predicted, are not tried.
+PAST = 1.5
+#: Settings of a quick run: little is for sale.
+QUICK = ("gbuffer.normal=oct24", "shade.radiance=half", "scale.rung=off", "light_culling.tile_size=16")
+
+
+def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[str], Any]) -> Record:
+    """Fit at every budget of every case, then try every combination.
+
+    Args:
+        device: Where to run.
+        quick: One small case, with little for sale.
+        settings: Settings that are held.
+        note: Function of a text that tells how far it is.
+
+    Returns:
+        A row for each scene and budget. `first.*`: the first fit of a process, which loads kernels and may compile
+        them; `fit.*`: one that measures with all kernels loaded; `cached.*`: one that finds prices measured before.
+    """
+    rows: list[dict[str, Any]] = []
+    size = stand_size(device.is_cuda, quick)
+    if quick:
+        settings = settings.with_values(list(QUICK))
+    for case in CASES[: 1 if quick else None]:
+        source = SCENES[case.scene].chosen(device.is_cuda, quick)
+        bench = _Bench(SCENES[case.scene].build(source), device, size, settings)
+        budgets = case.budgets_ms if device.is_cuda else [round(f * bench.base_ms(), 3) for f in case.factors]
+        fits = []
+        for budget in budgets:
+            note(f"fit of {case.scene} to {budget:g} ms")
+            fits.append(bench.fits(budget))
+        note(f"every combination on {case.scene}")
+        judged = bench.judge([found[-1] for found in fits], budgets, QUICK_COUNTS if quick else JUDGE_COUNTS)
+        for budget, found, outcome in zip(budgets, fits, judged, strict=True):
+            head = {"scene": case.scene, "source": source, "width": size[0], "height": size[1], "budget_ms": budget}
+            rows.append(head | _seconds(*found) | _choice(found[-1]) | outcome)
+    return {"rows": rows}
+
+
+class _Bench:
+    """A scene at one size, with what is held."""
+
+    def __init__(self, scene: Scene, device: wp.Device, size: tuple[int, int], settings: Settings) -> None:
+        self.scene, self.device, self.size, self.settings = scene, device, size, settings
+
+    def base_ms(self) -> float:
+        """Time of the frame that has one sample and every ladder at its base."""
+        probe = self._probe()
+        probe.look(self.settings)
+        return probe.replays().median
+
+    def _probe(self) -> Probe:
+        renderer = Renderer(self.scene, width=self.size[0], height=self.size[1], device=self.device)
+        return Probe(renderer, [self.scene.camera], 0.0)
+
+    def fits(self, budget: float) -> tuple[Fit, Fit, Fit]:
+        """Fit to a budget: as the first call does, with prices kept, and anew with all kernels loaded."""
+
+        def call(cache: bool | str) -> Fit:
+            return fit(
+                self.scene, budget_ms=budget, width=self.size[0], height=self.size[1], device=self.device,
+                settings=self.settings, cache=cache,
+            )  # fmt: skip
+
+        with tempfile.TemporaryDirectory() as folder:
+            return call(folder), call(folder), call(False)
+
+    def judge(self, fits: Sequence[Fit], budgets: Sequence[float], counts: dict[str, int]) -> list[dict[str, Any]]:
+        """Try every combination; what each fit's choice is off by, and the best that its budget allows."""
+        probe = self._probe()
+        surveyor = Surveyor(probe, self.settings, held_fields(self.settings), max(budgets), None)
+        with probe.restoring():
+            survey = surveyor.measure()
+            own = {name: count for name, count in counts.items() if name in survey.counts}
+            truth = surveyor.truth(dataclasses.replace(survey, whole_counts=own, whole_samples=survey.samples))
+            tried = []
+            for choice in combinations(survey, PAST * max(budgets)):
+                surveyor.look("", choice)
+                error = probe.rmse(truth)
+                tried.append((statistics.median(probe.frames(1, FRAMES + 1)[1:]), error, surveyor.at(choice)))
+                probe.animate(probe.now_s)
+            judged = []
+            for found in fits:
+                probe.look(found.settings)
+                judged.append(probe.rmse(truth))
+        return [_outcome(error, budget, tried) for error, budget in zip(judged, budgets, strict=True)]
+
+
+def combinations(survey: Survey, most_ms: float) -> Iterator[Choice]:
+    """Every combination of rungs, but for rungs whose price is an estimate and frames past a time as predicted."""
+    market = Market(survey.grid, survey.ladders)
+    offers = [[offer.rung for offer in ladder.offers if not offer.estimated] for ladder in survey.ladders]
+    for (scale, rung), *rungs in itertools.product(survey.grid.errors, *offers):
+        choice = {"scale": scale, "anti_aliasing": rung}
+        choice |= {ladder.name: name for ladder, name in zip(survey.ladders, rungs, strict=True)}
+        if market.predict(choice)[0] <= most_ms:
+            yield choice
+
+
+def _outcome(error: float, budget: float, tried: Sequence[tuple[float, float, Settings]]) -> dict[str, Any]:
+    """What a choice is off by beside the best of those tried that keep the budget."""
+    possible = [found for found in tried if found[0] <= budget]
+    row: dict[str, Any] = {"tried.count": len(tried), "error.judged": float(f"{error:.4g}")}
+    if possible:
+        ms, best, settings = min(possible, key=lambda found: found[:2][::-1])
+        row |= {"best.error": float(f"{best:.4g}"), "best.frame_ms": round(ms, 5)}
+        row["best.settings"] = " ".join(assignments(settings))
+        row["error.ratio"] = round(error / best, 4) if best > 0.0 else 1.0
+    return row
+
+
+def _seconds(first: Fit, cached: Fit, found: Fit) -> dict[str, Any]:
+    """Seconds that the three calls took."""
+    return {
+        "first.s": round(first.seconds, 3), "first.load_s": round(first.load_seconds, 3),
+        "first.compile_s": round(first.cold_seconds, 3), "first.compiled": first.compiled,
+        "fit.s": round(found.seconds, 3), "fit.frames": found.plans, "cached.s": round(cached.seconds, 3),
+    }  # fmt: skip
+
+
+def _choice(found: Fit) -> dict[str, Any]:
+    """What was bought, and whether it keeps the budget."""
+    return {
+        "settings": " ".join(assignments(found.settings)), "frame.ms": round(found.ms.median, 5),
+        "frame.ms_p5": round(found.ms.p5, 5), "frame.ms_p95": round(found.ms.p95, 5),
+        "frame.repeats": found.ms.count, "held.share": round(found.held, 4), "met": found.met,
+        "predicted.frame_ms": round(found.predicted_ms, 5), "error.predicted": float(f"{found.predicted_error:.4g}"),
+        "error.rmse": float(f"{found.error:.4g}"), "next": found.next,
+    }  # fmt: skip

@@ -1,0 +1,216 @@
+"""The additive model of a frame's time and error, and the exact search over it. Pure: nothing here renders.
+
+Time: the base frame's at the chosen size and number of samples, plus each ladder's price at one sample and full size,
+scaled by the share of pixels that are rendered and, for stages that run in every sample, by the samples. Error: stages
+err independently, so their squares add up; `scale` and `anti_aliasing`, which do not, are one table. Both are
+predictions: the choice is rendered and timed, and what that says corrects them for frames of the same size and samples.
+
+The search is exhaustive. Within a ladder rungs that another one beats in everything are dropped first; what is left of
+all of them, some thousand frames, is summed up whole.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
+
+import numpy as np
+
+from .ladders import PIXEL_SAMPLES, SCALES
+
+__all__ = ["Choice", "Grid", "LadderPrices", "Market", "Offer", "best", "share", "undominated"]
+
+#: No choice of rungs makes a frame take less than this share of the same frame at base rungs: where measured prices say
+#: so, it is noise that many samples have multiplied.
+FLOOR = 0.2
+#: Ladder -> rung.
+Choice = dict[str, str]
+
+
+@dataclasses.dataclass(frozen=True)
+class Offer:
+    """A rung with its price.
+
+    Attributes:
+        rung: Its name.
+        ms: What one sample at full size takes more than with the ladder's base rung [ms]; may be below zero.
+        error: RMSE of the picture against the ladder's reference rung, all else at its base.
+        samples: Samples a pixel that a frame with it takes at least.
+        estimated: Whether the price was not measured but follows from a cheaper rung's.
+    """
+
+    rung: str
+    ms: float
+    error: float
+    samples: int = 1
+    estimated: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class LadderPrices:
+    """What a ladder offers.
+
+    Attributes:
+        name: The stage.
+        part: `sample`: its price is paid in every sample; `frame`: once.
+        offers: Rungs, cheap to reference.
+    """
+
+    name: str
+    part: Literal["sample", "frame"]
+    offers: tuple[Offer, ...]
+
+    def offer(self, rung: str) -> Offer:
+        """Look a rung up by its name, which must be there."""
+        return next(offer for offer in self.offers if offer.rung == rung)
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """Frames by rendered size and samples, all other ladders at their base.
+
+    Attributes:
+        times: (rung of `scale`, samples) -> time of the frame [ms].
+        errors: (rung of `scale`, rung of `anti_aliasing`) -> RMSE of the picture against the best size and samples.
+        fxaa_ms: What `fxaa` adds once a frame at full size [ms].
+        least: Samples that what is held takes in any case.
+    """
+
+    times: Mapping[tuple[str, int], float]
+    errors: Mapping[tuple[str, str], float]
+    fxaa_ms: float = 0.0
+    least: int = 1
+
+    def samples(self, rung: str, offers: Iterable[Offer]) -> int:
+        """Samples that a frame takes: the most that a rung asks for."""
+        return max([self.least, PIXEL_SAMPLES[rung], *(offer.samples for offer in offers)])
+
+    def time(self, scale: str, samples: int) -> float:
+        """Time of a frame [ms], measured or on a line through what was; a number of samples costs in proportion."""
+        if (scale, samples) in self.times:
+            return self.times[scale, samples]
+        known = sorted((n, ms) for (size, n), ms in self.times.items() if size == scale)
+        if not known:
+            full = next(iter(SCALES))
+            return self.time(full, samples) * share(scale) / share(full)
+        (first, start), (last, end) = known[0], known[-1]
+        slope = (end - start) / (last - first) if last > first else start / first
+        return start + (samples - first) * slope
+
+
+def share(scale: str) -> float:
+    """Share of the shown pixels that is rendered."""
+    return SCALES[scale] ** 2
+
+
+def undominated(offers: Sequence[Offer]) -> tuple[Offer, ...]:
+    """Offers that no other one beats in price, error and samples at once; of equal ones the first stays."""
+    keys = [(offer.ms, offer.error, offer.samples) for offer in offers]
+    return tuple(
+        offer
+        for k, offer in enumerate(offers)
+        if not any(
+            all(a <= b for a, b in zip(other, keys[k], strict=True)) and (other != keys[k] or j < k)
+            for j, other in enumerate(keys)
+            if j != k
+        )
+    )
+
+
+class Market:
+    """Every frame that can be bought, with its predicted time and error.
+
+    Attributes:
+        ms: Predicted time of each frame [ms].
+        error: Predicted RMSE of its picture.
+        cell: Which size and number of samples it has; frames of one cell share their corrections.
+        weight: Samples times the share of pixels that are rendered: how often what runs in each is paid.
+    """
+
+    def __init__(self, grid: Grid, ladders: Sequence[LadderPrices]) -> None:
+        self.grid, self.ladders = grid, tuple(ladders)
+        #: Every offer of every ladder, for prices of single frames; the search looks at those that nothing beats.
+        self._kept = [(ladder, undominated(ladder.offers)) for ladder in self.ladders]
+        # Ladders that take samples come first: they decide how often the others are paid.
+        self._kept.sort(key=lambda kept: all(offer.samples == 1 for offer in kept[1]))
+        taking = sum(any(offer.samples > 1 for offer in offers) for _, offers in self._kept)
+        blocks, cells, weights, names = [], [], [], []
+        for scale, rung in grid.errors:
+            for taken in itertools.product(*(offers for _, offers in self._kept[:taking])):
+                samples = grid.samples(rung, taken)
+                ms, square = self._block(scale, rung, taken, samples)
+                blocks.append((ms, square))
+                cells.append(np.full(len(ms), list(SCALES).index(scale) * 1024 + samples))
+                weights.append(np.full(len(ms), samples * share(scale)))
+                names.append((scale, rung, taken))
+        self._names, self._length = names, len(blocks[0][0]) if blocks else 0
+        self.ms = np.concatenate([ms for ms, _ in blocks]) if blocks else np.zeros(0)
+        self.error = np.sqrt(np.concatenate([square for _, square in blocks])) if blocks else np.zeros(0)
+        self.cell = np.concatenate(cells) if cells else np.zeros(0, int)
+        self.weight = np.concatenate(weights) if weights else np.zeros(0)
+        self._others = [offers for _, offers in self._kept[taking:]]
+        self._taking = taking
+
+    def _block(self, scale: str, rung: str, taken: Sequence[Offer], samples: int) -> tuple[np.ndarray, np.ndarray]:
+        """Times and squared errors of all frames of one size and one number of samples."""
+        ms = np.array([self.grid.time(scale, samples) + self._fxaa(scale, rung)])
+        square = np.array([self.grid.errors[scale, rung] ** 2])
+        for k, (ladder, offers) in enumerate(self._kept):
+            chosen = [taken[k]] if k < len(taken) else offers
+            weight = share(scale) * (samples if ladder.part == "sample" else 1)
+            ms = np.add.outer(ms, [offer.ms * weight for offer in chosen]).ravel()
+            square = np.add.outer(square, [offer.error**2 for offer in chosen]).ravel()
+        return np.maximum(ms, FLOOR * self.grid.time(scale, samples)), square
+
+    def _fxaa(self, scale: str, rung: str) -> float:
+        return self.grid.fxaa_ms * share(scale) if rung == "fxaa" else 0.0
+
+    def __len__(self) -> int:
+        return len(self.ms)
+
+    def choice(self, index: int) -> Choice:
+        """Rungs of a frame."""
+        block, rest = divmod(int(index), self._length)
+        scale, rung, taken = self._names[block]
+        result = {"scale": scale, "anti_aliasing": rung}
+        result |= {ladder.name: offer.rung for (ladder, _), offer in zip(self._kept, taken, strict=False)}
+        places = np.unravel_index(rest, [len(offers) for offers in self._others]) if self._others else ()
+        for (ladder, offers), place in zip(self._kept[self._taking :], places, strict=True):
+            result[ladder.name] = offers[place].rung
+        return result
+
+    def samples(self, choice: Choice) -> int:
+        """Samples a pixel that a frame takes."""
+        return self.grid.samples(choice["anti_aliasing"], [x.offer(choice[x.name]) for x in self.ladders])
+
+    def predict(self, choice: Choice) -> tuple[float, float]:
+        """Time [ms] and error of any frame, among those that others beat, too."""
+        offers = [(ladder, ladder.offer(choice[ladder.name])) for ladder in self.ladders]
+        scale, rung = choice["scale"], choice["anti_aliasing"]
+        samples = self.samples(choice)
+        ms = self.grid.time(scale, samples) + self._fxaa(scale, rung)
+        for ladder, offer in offers:
+            ms += offer.ms * share(scale) * (samples if ladder.part == "sample" else 1)
+        square = self.grid.errors[scale, rung] ** 2 + sum(offer.error**2 for _, offer in offers)
+        return max(ms, FLOOR * self.grid.time(scale, samples)), math.sqrt(square)
+
+
+def best(ms: np.ndarray, error: np.ndarray, budget_ms: float | None, max_error: float | None) -> int | None:
+    """Index of the frame to buy, or None where nothing fits.
+
+    With a budget alone the smallest error within it, of equal ones the cheapest; with an error alone the cheapest frame
+    that keeps it; with both the cheapest that keeps both.
+    """
+    fits = np.ones(len(ms), bool)
+    if budget_ms is not None:
+        fits &= ms <= budget_ms
+    if max_error is not None:
+        fits &= error <= max_error
+    places = np.flatnonzero(fits)
+    if not len(places):
+        return None
+    keys = (ms[places], error[places]) if max_error is None else (error[places], ms[places])
+    return int(places[np.lexsort(keys)[0]])
