@@ -37,7 +37,11 @@ def make_keep_surface():
     def keep_surface(geometry: Geometry, instance: wp.int32, material: Material, v: wp.vec3i, weights: wp.vec3):
         alpha = material.base_color[3]
         if (geometry.instances[instance].flags & FLAG_COLORS) != 0:
-            color = mix4(weights, geometry.colors[v[0]], geometry.colors[v[1]], geometry.colors[v[2]])
+            c0, c1, c2 = geometry.colors[v[0]], geometry.colors[v[1]], geometry.colors[v[2]]
+            # Looked at before it is mixed, which drops NaN.
+            if not wp.isfinite(c0[3] + c1[3] + c2[3]):
+                return False
+            color = mix4(weights, c0, c1, c2)
             alpha *= color[3]
         if (material.textured & 1) != 0:
             uv = mix2(weights, geometry.uvs[v[0]], geometry.uvs[v[1]], geometry.uvs[v[2]])

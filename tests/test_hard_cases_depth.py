@@ -364,6 +364,22 @@ def test_x5_alpha_at_the_cutoff_is_kept(device):
     assert masked(0.0, 0.0, device) and not masked(1.0, 1.5, device)
 
 
+def test_x5_an_alpha_that_is_no_number_is_not_there(device):
+    corners = at_pixels([[0, 0], [16, 0], [16, 16], [0, 16]], 16, 16).astype(np.float32)
+    mesh = wd.Mesh(corners, [[0, 1, 2], [0, 2, 3]], colors=np.ones((4, 4), np.float32))
+    material = wd.Material(model="lambert", alpha_mode="mask", alpha_cutoff=0.5, two_sided=True)
+    scene = scene_of(mesh, material=material)
+    renderer = wd.Renderer(scene, width=16, height=16, device=device, outputs=GEOMETRY)
+    assert (renderer.render(pixel_camera(16)).numpy("instance_id") == 0).all()
+    # No way leads there from outside: files are repaired and arrays refused.
+    colors = renderer.plan.resources.scene.geometry.colors
+    values = colors.numpy().copy()
+    values[1, 3] = np.nan
+    colors.assign(values)
+    ids = renderer.render(pixel_camera(16)).numpy("triangle_id")[0]
+    assert set(np.unique(ids)) == {-1, 1}
+
+
 def test_x5_texel_alpha_at_the_cutoff_is_kept(device):
     for code in (1, 77, 128, 254, 255):
         assert masked(1.0, float(np.float32(code) / np.float32(255.0)), device, code), code
