@@ -160,7 +160,7 @@ def _outcome(error: float, budget: float, tried: Sequence[tuple[float, float, Se
     if possible:
         ms, best, settings = min(possible, key=lambda found: found[:2][::-1])
         row |= {"best.error": float(f"{best:.4g}"), "best.frame_ms": round(ms, 5)}
-        row["best.settings"] = " ".join(assignments(settings))
+        row["best.bought"] = " ".join(assignments(settings))
         row["error.ratio"] = round(error / best, 4) if best > 0.0 else 1.0
     return row
 
@@ -177,7 +177,7 @@ def _seconds(first: Fit, cached: Fit, found: Fit) -> dict[str, Any]:
 def _choice(found: Fit) -> dict[str, Any]:
     """What was bought, and whether it keeps the budget."""
     return {
-        "settings": " ".join(assignments(found.settings)), "frame.ms": round(found.ms.median, 5),
+        "bought": " ".join(assignments(found.settings)), "frame.ms": round(found.ms.median, 5),
         "frame.ms_p5": round(found.ms.p5, 5), "frame.ms_p95": round(found.ms.p95, 5),
         "frame.repeats": found.ms.count, "held.share": round(found.held, 4), "met": found.met,
         "predicted.frame_ms": round(found.predicted_ms, 5), "error.predicted": float(f"{found.predicted_error:.4g}"),
