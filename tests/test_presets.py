@@ -2,15 +2,17 @@
 
 import re
 import typing
+from types import SimpleNamespace
 
 import bench_package
 import pytest
 
 import warp_deferred as wd
-from bench import fit_tables, presets, record, tables
+from bench import fit, fit_tables, presets, record, tables
 from bench.__main__ import main
 from bench.ladders import LADDERS
 from warp_deferred.errors import LoadError
+from warp_deferred.fitting.model import Grid, LadderPrices, Offer
 from warp_deferred.loading import load
 from warp_deferred.presets import PRESETS
 
@@ -167,3 +169,23 @@ def test_fits_are_told_in_a_table():
     assert "the defaults" in table and "`scale.rung=half`" in table
     lost = {k: v for k, v in row.items() if not k.startswith("best.") and k != "error.ratio"}
     assert "none fits" in fit_tables.fit_table({"device": "NVIDIA H200", "quick": False, "rows": [lost]})
+
+
+def test_every_combination_is_tried_but_for_estimates_and_what_is_far_past_the_budget():
+    offers = (Offer("off", -0.1, 0.02), Offer("gtao", 0.0, 0.01), Offer("ray_traced", 90.0, 0.0, estimated=True))
+    ladders = (LadderPrices("ambient_visibility", "sample", offers),)
+    grid = Grid({("off", 1): 1.0, ("off", 4): 4.0}, {("off", "off"): 0.1, ("off", "samples_4"): 0.05})
+    known = SimpleNamespace(grid=grid, ladders=ladders)
+    tried = list(fit.combinations(known, 5.0))
+    assert len(tried) == 4 and {c["ambient_visibility"] for c in tried} == {"off", "gtao"}
+    assert [c["anti_aliasing"] for c in fit.combinations(known, 3.7)] == ["off", "off", "samples_4"]
+
+
+def test_the_best_is_the_nearest_picture_that_keeps_the_budget():
+    plain, half = wd.Settings(), wd.Settings().with_values(["scale.rung=half"])
+    tried = [(0.5, 0.04, half), (0.9, 0.02, plain), (1.1, 0.01, half)]
+    row = fit._outcome(0.025, 1.0, tried)
+    assert (row["best.error"], row["best.frame_ms"], row["best.bought"]) == (0.02, 0.9, "")
+    assert row["error.ratio"] == 1.25 and row["tried.count"] == 3
+    assert fit._outcome(0.05, 0.6, tried)["best.bought"] == "scale.rung=half"
+    assert "best.error" not in fit._outcome(0.05, 0.1, tried)

@@ -88,17 +88,15 @@ def fit(
     budget_ms, max_error = _check_wishes(budget_ms, max_error)
     if "display" not in outputs:
         raise input_error("fit.outputs", "display among them", list(outputs), "errors are those of the picture")
-    renderer = Renderer(scene, width=width, height=height, device=device, outputs=outputs, threads=threads)
-    renderer.settings = settings
-    settings = renderer.settings
-    if settings.preset != "none":
-        raise input_error("fit.settings.preset", "none", settings.preset, "a budget chooses every rung that is not set")
-    cameras = renderer.cameras_of(camera)
-    probe = Probe(renderer, cameras, check_range("fit.time_s", time_s, -1e9, 1e9, unit="s"))
+    renderer = Renderer(
+        scene, width=width, height=height, device=device, outputs=outputs, settings=settings, threads=threads
+    )
+    if renderer.settings.preset != "none":
+        raise input_error("fit.settings.preset", "none", renderer.settings.preset, "a budget chooses what is not set")
+    probe = Probe(renderer, renderer.cameras_of(camera), check_range("fit.time_s", time_s, -1e9, 1e9, unit="s"))
     where = None if cache is False else kept.folder() if cache is True else Path(cache)
-    surveyor = Surveyor(probe, settings, held_fields(settings), budget_ms, progress)
+    surveyor = Surveyor(probe, renderer.settings, held_fields(renderer.settings), budget_ms, progress)
     with probe.restoring(), wp.ScopedDevice(renderer.device):
-        probe.animate(probe.now_s)
         survey, date = _survey(surveyor, where)
         market = Market(survey.grid, survey.ladders)
         chooser = Chooser(market, surveyor, surveyor.truth(survey), budget_ms, max_error, survey.whole_samples)

@@ -143,7 +143,8 @@ class Probe:
 
     @contextlib.contextmanager
     def restoring(self) -> Any:
-        """Put the scene back to its moment, and the renderer to its settings, whatever happens."""
+        """Show the scene's moment, and put scene and settings back to it, whatever happens."""
+        self.animate(self.now_s)
         try:
             yield
         finally:
