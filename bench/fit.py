@@ -21,10 +21,10 @@ import warp as wp
 from warp_deferred import Renderer, Scene, Settings
 from warp_deferred.fitting import Fit, fit
 from warp_deferred.fitting.ladders import held_fields
-from warp_deferred.fitting.model import Choice, Market
+from warp_deferred.fitting.model import Choice, Market, Survey
 from warp_deferred.fitting.probe import Probe
 from warp_deferred.fitting.report import assignments
-from warp_deferred.fitting.survey import Survey, Surveyor
+from warp_deferred.fitting.survey import Surveyor
 
 from .ladders import SCENES, stand_size
 from .record import Record

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import warp_deferred as wd
-from warp_deferred.fitting import cache, choose, survey
+from warp_deferred.fitting import cache, choose
 from warp_deferred.fitting import report as reports
 from warp_deferred.fitting.clock import Spread
 from warp_deferred.fitting.ladders import EXACT, LADDERS, PIXEL_SAMPLES, SCALES, held_fields, ladder_of
-from warp_deferred.fitting.model import FLOOR, Grid, LadderPrices, Market, Offer, best, undominated
+from warp_deferred.fitting.model import FLOOR, Grid, LadderPrices, Market, Offer, Survey, best, undominated
 
 RUNGS = {ladder.name: [rung.name for rung in ladder.rungs] for ladder in LADDERS}
 PARTS = {ladder.name: ladder.part for ladder in LADDERS}
@@ -248,7 +248,7 @@ def test_the_account_of_a_choice_adds_up():
 
 
 def known_survey():
-    return survey.Survey(
+    return Survey(
         small_grid(), small_ladders(), "tiles_depth, 32 px", (0.4, 0.5), {"shadow": "shadow.rung=pcf"},
         {"bloom": "no lens"}, ["x"], 64, {"ambient_visibility": 64}, 64, {"ambient_visibility": 8},
         Spread(0.5, 0.4, 0.6, 9), math.inf,

@@ -30,10 +30,10 @@ from ..settings import Settings
 from . import cache as kept
 from .choose import HELD_SHARE, Chooser, Verified
 from .ladders import held_fields
-from .model import Market
+from .model import Market, Survey
 from .probe import Probe
 from .report import Fit, left_out, next_purchase, notes, purchases
-from .survey import Progress, Survey, Surveyor
+from .survey import Progress, Surveyor
 
 __all__ = ["Fit", "fit"]
 

@@ -26,6 +26,8 @@ __all__ = ["FRAME_S", "Probe"]
 
 #: Time from one frame to the next of a scene that moves [s].
 FRAME_S = 1.0 / 30.0
+#: Frames as they come that make a price.
+FEW = 5
 
 
 class Probe:
@@ -127,6 +129,12 @@ class Probe:
     def replays(self) -> Spread:
         """Times of the last look's frame, replayed."""
         return replays(self.plan.resources.program)
+
+    def in_motion(self) -> float:
+        """Time of frames as they come after the last look, the moment put back [ms]: as `price` has it."""
+        spread = Spread.of(self.frames(1, FEW + 1)[1:])
+        self.animate(self.now_s)
+        return spread.median if self.device.is_cuda else spread.p5
 
     def frames(self, first: int, count: int) -> list[float]:
         """Times of `count` frames from the `first` one on after the scene's moment [ms]; the same again if it rests."""
