@@ -85,17 +85,13 @@ def fit(
         DeviceError: If the device is not there.
     """
     started = time.perf_counter()
-    budget_ms, max_error = _check_wishes(budget_ms, max_error)
-    if "display" not in outputs:
-        raise input_error("fit.outputs", "display among them", list(outputs), "errors are those of the picture")
+    budget_ms, max_error = _check_wishes(budget_ms, max_error, outputs)
     renderer = Renderer(
         scene, width=width, height=height, device=device, outputs=outputs, settings=settings, threads=threads
     )
-    if renderer.settings.preset != "none":
-        raise input_error("fit.settings.preset", "none", renderer.settings.preset, "a budget chooses what is not set")
     probe = Probe(renderer, renderer.cameras_of(camera), check_range("fit.time_s", time_s, -1e9, 1e9, unit="s"))
     where = None if cache is False else kept.folder() if cache is True else Path(cache)
-    surveyor = Surveyor(probe, renderer.settings, held_fields(renderer.settings), budget_ms, progress)
+    surveyor = Surveyor(probe, renderer.settings, _held(renderer.settings), budget_ms, progress)
     with probe.restoring(), wp.ScopedDevice(renderer.device):
         survey, date = _survey(surveyor, where)
         market = Market(survey.grid, survey.ladders)
@@ -104,8 +100,17 @@ def fit(
     return _account(chooser, survey, chosen, date, time.perf_counter() - started)
 
 
-def _check_wishes(budget_ms: Any, max_error: Any) -> tuple[float | None, float | None]:
+def _held(settings: Settings) -> frozenset[tuple[str, str]]:
+    """What stays as it is; a preset would hold everything."""
+    if settings.preset != "none":
+        raise input_error("fit.settings.preset", "none", settings.preset, "a budget chooses every rung that is not set")
+    return held_fields(settings)
+
+
+def _check_wishes(budget_ms: Any, max_error: Any, outputs: Sequence[str]) -> tuple[float | None, float | None]:
     """Check that something sensible is asked for."""
+    if "display" not in outputs:
+        raise input_error("fit.outputs", "display among them", list(outputs), "errors are those of the picture")
     if budget_ms is None and max_error is None:
         raise input_error("fit", "budget_ms, max_error or both", "<neither>", "such as budget_ms=1.0")
     wishes = []

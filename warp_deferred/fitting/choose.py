@@ -177,10 +177,11 @@ class Chooser:
             return index
         ms, _ = self.corrected()
         ms[list(self._ruled_out)] = np.inf
-        for _ in range(2):
+        for _ in range(MOST_TRIES):
             index = int(np.argmin(ms))
-            if index not in self.verified:
-                self._verify(index)
+            if index in self.verified:
+                break
+            self._verify(index)
             ms, _ = self.corrected()
             ms[list(self._ruled_out)] = np.inf
         usable = [k for k in self.verified if k not in self._ruled_out] or list(self.verified)

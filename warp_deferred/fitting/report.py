@@ -220,7 +220,7 @@ def notes(survey: Survey) -> list[str]:
     result += [f"held as set: {name} ({value})" for name, value in survey.held.items()]
     if survey.absent:
         listed = "; ".join(f"{name} ({reason})" for name, reason in survey.absent.items())
-        result.append(f"costs nothing, not called for: {listed}")
+        result.append(f"not for sale, costs nothing: {listed}")
     estimated = [f"{x.name} {o.rung}" for x in survey.ladders for o in x.offers if o.estimated]
     if estimated:
         result.append(f"prices that follow from fewer rays: {', '.join(estimated)}")

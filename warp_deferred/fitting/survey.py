@@ -73,7 +73,6 @@ class Surveyor:
             if (name, "rung") in held:
                 self.fixed[name] = getattr(settings, name).rung
         if "scale" not in self.fixed and probe.renderer.outputs != {"display"}:
-            self.fixed["scale"] = settings.scale.rung
             self.absent["scale"] = "other outputs than display are asked for"
 
     # ---- settings
