@@ -173,12 +173,17 @@ def test_fits_are_told_in_a_table():
 
 def test_every_combination_is_tried_but_for_estimates_and_what_is_far_past_the_budget():
     offers = (Offer("off", -0.1, 0.02), Offer("gtao", 0.0, 0.01), Offer("ray_traced", 90.0, 0.0, estimated=True))
-    ladders = (LadderPrices("ambient_visibility", "sample", offers),)
+    shade = LadderPrices("shade", "sample", (Offer("half", 0.0, 0.01), Offer("float32", 0.0, 0.0)))
+    codecs = LadderPrices("gbuffer", "sample", (Offer("oct24", 0, 0.01), Offer("oct32", 0, 0.01), Offer("full", 0, 0)))
+    ladders = (LadderPrices("ambient_visibility", "sample", offers), codecs, shade)
     grid = Grid({("off", 1): 1.0, ("off", 4): 4.0}, {("off", "off"): 0.1, ("off", "samples_4"): 0.05})
     known = SimpleNamespace(grid=grid, ladders=ladders)
     tried = list(fit.combinations(known, 5.0))
-    assert len(tried) == 4 and {c["ambient_visibility"] for c in tried} == {"off", "gtao"}
-    assert [c["anti_aliasing"] for c in fit.combinations(known, 3.7)] == ["off", "off", "samples_4"]
+    # Formats at their ends, and both together.
+    assert {(c["gbuffer"], c["shade"]) for c in tried} == {("oct24", "half"), ("full", "float32")}
+    assert len(tried) == 8 and {c["ambient_visibility"] for c in tried} == {"off", "gtao"}
+    cheap = [c["anti_aliasing"] for c in fit.combinations(known, 3.7)]
+    assert cheap == ["off"] * 4 + ["samples_4"] * 2
 
 
 def test_the_best_is_the_nearest_picture_that_keeps_the_budget():

@@ -217,6 +217,8 @@ def notes(survey: Survey) -> list[str]:
     if survey.free and survey.free != EXACT.base:
         fast, usual = survey.free_ms
         result.append(f"free: light_culling {survey.free}, {usual - fast:.3g} ms less, every rung gives the same bits")
+    if survey.grid.moving_ms > 0.0:
+        result.append(f"uploads and what moves take {survey.grid.moving_ms:.3g} ms of a frame")
     result += [f"held as set: {name} ({value})" for name, value in survey.held.items()]
     if survey.absent:
         listed = "; ".join(f"{name} ({reason})" for name, reason in survey.absent.items())
