@@ -239,9 +239,33 @@ def test_the_account_of_a_choice_adds_up():
     cheapest = buyer.market.ms.min()
     assert {p.stage for p in (*bought, *left)} <= {"size and samples", *RUNGS}
     assert all(p.error > 0.0 and p.rung != p.instead for p in (*bought, *left))
+    size = next(p for p in bought if p.stage == "size and samples")
+    assert size.rung == "4 samples at two_thirds size" and size.instead == "1 sample at half size"
     assert all(p.error < chosen.error for p in left) and [p.ms for p in left] == sorted(p.ms for p in left)
     assert chosen.predicted_ms - sum(p.ms for p in bought) == pytest.approx(cheapest, abs=0.4)
     assert "0.1 ms more would buy" in reports.next_purchase(buyer, chosen)
+
+
+def test_the_verdict_says_by_how_much_it_is_not_kept():
+    some = wd.Fit(
+        wd.Settings(), 1.0, None, True, Spread(0.9, 0.88, 0.95, 60), 59 / 60, 0.03, 0.88, 0.031, (), (), "next", (),
+        "64 samples", "x at 8x4 on cpu", 2.0, 0.3, 7.0, 43, 30, "",
+    )  # fmt: skip
+    assert some.verdict == "the budget is kept: 98% of 60 frames not seen before are within 1 ms"
+    late = dataclasses.replace(some, held=0.9, ms=Spread(0.97, 0.9, 1.2, 60))
+    assert "not always kept: 90% of 60" in late.verdict and "95 % of frames take up to 1.2 ms" in late.verdict
+    over = dataclasses.replace(some, budget_ms=0.5, held=0.0)
+    assert "cannot be kept: this is the fastest frame, 0.4 ms over" in over.verdict
+    both = dataclasses.replace(some, max_error=0.02)
+    assert "the error cannot be had within the budget: 0.0300 is the nearest to 0.02" in both.verdict
+    alone = dataclasses.replace(some, budget_ms=None, held=None, max_error=0.04)
+    assert alone.verdict == "the error is kept: 0.0300 of 0.04"
+    text = str(some)
+    assert "30 frames looked at in 2.0 s, 0.3 s of them to load kernels, and 7.0 s to compile 43 modules" in text
+    assert "settings: the defaults" in text and "prices measured now" in text
+    draft = reports.assignments(wd.Settings(preset="draft"))
+    assert wd.Settings().with_values(draft) == wd.Settings(preset="draft").replace(preset="none").with_values(draft)
+    assert reports.assignments(wd.Settings().with_values(["shadow.rung=hard"])) == ["shadow.rung=hard"]
 
 
 # ---- prices that are kept

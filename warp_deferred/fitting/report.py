@@ -11,7 +11,7 @@ from ..explain import table
 from ..settings import Settings
 from .choose import Chooser, Verified
 from .clock import Spread
-from .ladders import EXACT
+from .ladders import EXACT, PIXEL_SAMPLES
 from .model import Choice, Survey, best
 
 __all__ = ["NEXT_MS", "Fit", "Purchase", "assignments", "left_out", "next_purchase", "notes", "purchases"]
@@ -242,7 +242,10 @@ def _named(choice: Choice, keys: Choice) -> str:
     """Rungs of some stages; of size and samples both."""
     if "scale" not in keys:
         return choice[next(iter(keys))]
-    return choice["anti_aliasing"] + ("" if choice["scale"] == "off" else f" at {choice['scale']} size")
+    rung = choice["anti_aliasing"]
+    count = PIXEL_SAMPLES[rung]
+    words = f"{count} sample{'s' if count > 1 else ''}" + (", fxaa" if rung == "fxaa" else "")
+    return words + ("" if choice["scale"] == "off" else f" at {choice['scale']} size")
 
 
 def _change(chooser: Chooser, chosen: Verified, index: int) -> str:
