@@ -29,7 +29,7 @@ MOST_VERIFIED, MOST_TRIES = 10, 4
 #: What a frame must promise to be looked at: so much less error, or time, than the best so far.
 WORTHWHILE = 0.02
 #: Frames timed one by one for a verified time, and of an interval that was not seen: on CUDA, on the CPU.
-SEEN, UNSEEN = {"cuda": 10, "cpu": 5}, {"cuda": 60, "cpu": 20}
+SEEN, UNSEEN = {"cuda": 10, "cpu": 5}, {"cuda": 40, "cpu": 20}
 #: Time after which fewer frames must do, but for those that a budget is held against [ms].
 PATIENCE_MS = 3_000.0
 
