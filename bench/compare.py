@@ -35,7 +35,10 @@ INPUTS = ("width", "height", "triangles", "lights", "source", "settings")
 QUICK_REPEATS = 3
 #: Ends of metrics that are made of others, or are measured once.
 DERIVED = ("floor_ms", "floor.ms", "times_floor", "sum_ms", "difference_ms", "of_frame", "added_bytes")
-ONCE = ("compile.s", "compile.replaced_s", "build.s")
+ONCE = (
+    "compile.s", "compile.replaced_s", "build.s", "first.s", "fit.s", "cached.s", "load_s", "compile_s", "held.share",
+    "best.frame_ms", "predicted.frame_ms", "error.predicted",
+)  # fmt: skip
 #: Times that are, or may be, differences of longer ones: what runs differ by is a share of the whole.
 WHOLE = {"stage.ms": "frame.ms", "raster.ms": "total.ms"}
 #: Share and difference by which errors and means may differ: they are rounded to four digits, or to 1e-6.

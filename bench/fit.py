@@ -1,10 +1,12 @@
 """Bench `fit`: how long a fit takes, whether its choice keeps the budget, and how near it comes to the best there is.
 
 The best is found by trying: on each scene every combination of rungs that the scene calls for is rendered and timed as
-a fit times frames, but for rungs that trace rays and frames far past the largest budget. All errors of this bench,
-those of the fit's choices among them, are taken against one picture, whose ladders trace more rays than the fit's own
-reference does. A combination counts as possible in a budget where its median keeps it, while a fit's choice must keep
-it in 19 of 20 frames: the comparison is in favour of the trying.
+a fit times frames, but for rungs that trace rays and frames far past the largest budget. Formats, of the G-buffer and
+of radiance, are tried at their ends, both cheap or both at their reference: their errors are the smallest of all
+ladders (docs/accuracy.md). All errors of this bench, those of the fit's choices among them, are taken against one
+picture, whose ladders trace more rays than the fit's own reference does. A combination counts as possible in a budget
+where its median keeps it, while a fit's choice must keep it in 19 of 20 frames: the comparison is in favour of the
+trying.
 """
 
 from __future__ import annotations
@@ -21,10 +23,10 @@ import warp as wp
 from warp_deferred import Renderer, Scene, Settings
 from warp_deferred.fitting import Fit, fit
 from warp_deferred.fitting.ladders import held_fields
-from warp_deferred.fitting.model import Choice, Market
+from warp_deferred.fitting.model import Choice, Market, Survey
 from warp_deferred.fitting.probe import Probe
 from warp_deferred.fitting.report import assignments
-from warp_deferred.fitting.survey import Survey, Surveyor
+from warp_deferred.fitting.survey import Surveyor
 
 from .ladders import SCENES, stand_size
 from .record import Record
@@ -54,6 +56,8 @@ JUDGE_COUNTS = {"ambient_visibility": 64, "shadow": 16}
 QUICK_COUNTS = {"ambient_visibility": 4, "shadow": 4}
 #: Frames of each combination that are timed.
 FRAMES = 5
+#: Ladders that are tried at their ends, together.
+FORMATS = ("gbuffer", "shade")
 #: Combinations past so many times the largest budget, as predicted, are not tried.
 PAST = 1.5
 #: Settings of a quick run: little is for sale.
@@ -145,10 +149,13 @@ class _Bench:
 def combinations(survey: Survey, most_ms: float) -> Iterator[Choice]:
     """Every combination of rungs, but for rungs whose price is an estimate and frames past a time as predicted."""
     market = Market(survey.grid, survey.ladders)
-    offers = [[offer.rung for offer in ladder.offers if not offer.estimated] for ladder in survey.ladders]
-    for (scale, rung), *rungs in itertools.product(survey.grid.errors, *offers):
-        choice = {"scale": scale, "anti_aliasing": rung}
-        choice |= {ladder.name: name for ladder, name in zip(survey.ladders, rungs, strict=True)}
+    single = [x for x in survey.ladders if x.name not in FORMATS]
+    formats = [x for x in survey.ladders if x.name in FORMATS]
+    ends = [{x.name: x.offers[end].rung for x in formats} for end in ((0, -1) if formats else (0,))]
+    offers = [[offer.rung for offer in x.offers if not offer.estimated] for x in single]
+    for (scale, rung), end, *rungs in itertools.product(survey.grid.errors, ends, *offers):
+        choice = {"scale": scale, "anti_aliasing": rung, **end}
+        choice |= {x.name: name for x, name in zip(single, rungs, strict=True)}
         if market.predict(choice)[0] <= most_ms:
             yield choice
 
@@ -160,7 +167,7 @@ def _outcome(error: float, budget: float, tried: Sequence[tuple[float, float, Se
     if possible:
         ms, best, settings = min(possible, key=lambda found: found[:2][::-1])
         row |= {"best.error": float(f"{best:.4g}"), "best.frame_ms": round(ms, 5)}
-        row["best.settings"] = " ".join(assignments(settings))
+        row["best.bought"] = " ".join(assignments(settings))
         row["error.ratio"] = round(error / best, 4) if best > 0.0 else 1.0
     return row
 
@@ -177,7 +184,7 @@ def _seconds(first: Fit, cached: Fit, found: Fit) -> dict[str, Any]:
 def _choice(found: Fit) -> dict[str, Any]:
     """What was bought, and whether it keeps the budget."""
     return {
-        "settings": " ".join(assignments(found.settings)), "frame.ms": round(found.ms.median, 5),
+        "bought": " ".join(assignments(found.settings)), "frame.ms": round(found.ms.median, 5),
         "frame.ms_p5": round(found.ms.p5, 5), "frame.ms_p95": round(found.ms.p95, 5),
         "frame.repeats": found.ms.count, "held.share": round(found.held, 4), "met": found.met,
         "predicted.frame_ms": round(found.predicted_ms, 5), "error.predicted": float(f"{found.predicted_error:.4g}"),

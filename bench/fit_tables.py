@@ -43,8 +43,8 @@ def fit_table(record: Record) -> str:
     bought = ["scene", ">budget ms", "bought", "the best possible", "beyond the budget"]
     words = [
         [
-            f"`{row['scene']}`", f"{row['budget_ms']:g}", _settings(row["settings"]),
-            _settings(row.get("best.settings", "")), row["next"],
+            f"`{row['scene']}`", f"{row['budget_ms']:g}", _settings(row["bought"]),
+            _settings(row.get("best.bought", "")), row["next"],
         ]
         for row in record["rows"]
     ]  # fmt: skip

@@ -21,7 +21,7 @@ import warp as wp
 from warp_deferred import Settings
 from warp_deferred.errors import LoadError
 
-from .accuracy import whole_frame
+from .accuracy import QUICK, whole_frame
 from .accuracy_tables import check_format, ladder_names, rows_of, scenes_of
 from .ladders import LADDERS, SCENES, stand_size
 from .measures import picture_errors
@@ -35,6 +35,11 @@ __all__ = ["MEASURED", "MODULE", "RATES", "choose", "module_text", "run", "sourc
 RATES: dict[str, float | None] = {"draft": 0.05, "balanced": 0.005, "high": 0.001, "reference": None}
 MODULE = Path("warp_deferred/presets.py")
 RESULTS = Path("bench/results")
+#: Rays and samples of `reference` where presets are measured, in each of its 64 samples a pixel; with its own 256 a
+#: frame takes minutes.
+COUNTS = ("shadow.samples=16", "ambient_visibility.rays=16")
+#: Those of a quick run.
+QUICK_COUNTS = ("shadow.samples=1", "ambient_visibility.rays=1", *QUICK)
 #: Scenes presets are measured on: those that carry every ladder they can.
 MEASURED = ("many_lights", "hundred_lights", "spheres_50k", "shadows")
 
@@ -213,7 +218,8 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[s
         # The reference first: without it nothing can be said of the others.
         for preset in reversed(RATES):
             note(f"{preset} on {name}")
-            plan = plan_of(renderer, settings.replace(preset=preset))
+            counts = QUICK_COUNTS if quick else COUNTS if preset == "reference" else ()
+            plan = plan_of(renderer, settings.replace(preset=preset).with_values(list(counts)))
             times[preset] = whole_frame(plan, 3 if quick else REPEATS, None)
             pictures[preset] = plan.outputs["display"].numpy()[0].copy()
         for preset in RATES:

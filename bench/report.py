@@ -64,7 +64,8 @@ SECTIONS = {
     ),
     "presets": (
         "Presets",
-        "Whole frames at each preset, and how far their pictures are from those of `reference`: RMSE and largest "
+        "Whole frames at each preset, and how far their pictures are from those of `reference`, which traces 16 rays "
+        "here in each of its 64 samples a pixel, and not 256, so that its time is less than it says: RMSE and largest "
         "difference of `display` in [0, 1], mean FLIP of its middle. Which rungs a preset takes, and what each costs "
         "and leaves by itself, is told in `warp_deferred/presets.py`.",
     ),

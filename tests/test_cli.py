@@ -14,7 +14,7 @@ import pytest
 import warp as wp
 
 import warp_deferred as wd
-from warp_deferred import cli, cli_arguments, loading, renderer
+from warp_deferred import cli, cli_arguments, fitting, loading, renderer
 from warp_deferred.channels import OUTPUTS
 from warp_deferred.frame import Frame
 from warp_deferred.images import read_image, read_png, write_exr, write_png
@@ -116,6 +116,43 @@ def test_numbers_are_checked_where_asked_for(fake, tmp_path, capfd):
         assert fake.made[-1].settings.check_finite is expected
 
 
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_budget_is_spent_before_the_frame_and_told(fake, scene, tmp_path, capfd, monkeypatch, quiet):
+    wishes = {}
+
+    class Bought:
+        settings = wd.Settings(preset="draft")
+
+        def __str__(self):
+            return "BOUGHT"
+
+    def fit(given, **wish):
+        wish.pop("progress")("shadow pcf", 0, 3) if wish["progress"] else wish.pop("progress")
+        wishes.update(wish, camera=given.camera.name)
+        return Bought()
+
+    monkeypatch.setattr(fitting, "fit", fit)
+    scene.animate = lambda s, time: None
+    code, out, err = run(
+        capfd, "render", "x", "-o", tmp_path / "a.%d.png", "--size", "4x2", "--budget-ms", "1.5", "--max-error", "0.03",
+        "--device", "cpu", "--set", "shadow.rung=off", "--camera", "right", "--frames", "30:31", "--no-cache",
+        *["-q"] * quiet,
+    )  # fmt: skip
+    assert code == 0 and ("BOUGHT" in out, "measuring" in err) == (not quiet, not quiet)
+    assert wishes.pop("settings").shadow.rung == "off"
+    assert wishes == {"budget_ms": 1.5, "max_error": 0.03, "width": 4, "height": 2, "device": "cpu", "cache": False,
+                      "outputs": ("display",), "time_s": 1.0, "camera": "right"}  # fmt: skip
+    assert fake.made[0].settings is Bought.settings
+
+
+def test_a_preset_goes_behind_what_is_set(fake, tmp_path, capfd):
+    argv = ["x", "--size", "2x2", "--preset", "draft", "--set", "anti_aliasing.rung=samples_4"]
+    assert run(capfd, "render", *argv, "-q", "-o", tmp_path / "a.png")[0] == 0
+    assert run(capfd, "explain", *argv)[0] == 0
+    for made in fake.made:
+        assert made.settings == wd.Settings(preset="draft").with_values(["anti_aliasing.rung=samples_4"])
+
+
 def test_quiet_prints_nothing(fake, tmp_path, capfd):
     assert run(capfd, "render", "x", "-o", tmp_path / "a.png", "--size", "2x2", "-q", "--plan") == (0, "", "")
 
@@ -188,6 +225,20 @@ BAD = {
     "frames name": (["render", "x", "-o", "a.png", "--frames", "0:2"], "such as a.%04d.png"),
     "frames still": (["render", "x", "-o", "a%d.png", "--frames", "0:2"], "expected a scene that moves"),
     "fps": (["render", "x", "-o", "a%d.png", "--frames", "0:2", "--fps", "0"], "--fps"),
+    "budget of zero": (["render", "x", "-o", "a.png", "--budget-ms", "0"], "--budget-ms: expected a number > 0, got 0"),
+    "budget below": (["render", "x", "-o", "a.png", "--budget-ms", "-1"], "--budget-ms: expected a number > 0, got -1"),
+    "budget none": (
+        ["render", "x", "-o", "a.png", "--budget-ms", "nan"],
+        "--budget-ms: expected a number > 0, got nan",
+    ),
+    "error of zero": (["render", "x", "-o", "a.png", "--max-error", "0"], "such as --max-error 0.02"),
+    "budget, preset": (
+        ["render", "x", "-o", "a.png", "--budget-ms", "1", "--preset", "draft"],
+        "none beside --budget-ms",
+    ),
+    "budget, view": (["render", "x", "-o", "a.png", "--max-error", "1", "--view", "depth"], "none beside --max-error"),
+    "budget, exr": (["render", "x", "-o", "a.exr", "--budget-ms", "1"], "a .png among the outputs"),
+    "preset": (["render", "x", "-o", "a.png", "--preset", "dratf"], "Settings.preset: expected 'none', 'draft'"),
     "compare missing": (["compare", "a.exr", "b.exr"], "no such file"),
     "compare png": (["compare", "a.exr", "b.exr", "--difference", "d.exr"], "ends in .png"),
 }

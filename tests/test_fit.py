@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import warp_deferred as wd
-from warp_deferred.fitting import cache, choose, survey
+from warp_deferred.fitting import cache, choose
 from warp_deferred.fitting import report as reports
 from warp_deferred.fitting.clock import Spread
 from warp_deferred.fitting.ladders import EXACT, LADDERS, PIXEL_SAMPLES, SCALES, held_fields, ladder_of
-from warp_deferred.fitting.model import FLOOR, Grid, LadderPrices, Market, Offer, best, undominated
+from warp_deferred.fitting.model import FLOOR, Grid, LadderPrices, Market, Offer, Survey, best, undominated
 
 RUNGS = {ladder.name: [rung.name for rung in ladder.rungs] for ladder in LADDERS}
 PARTS = {ladder.name: ladder.part for ladder in LADDERS}
@@ -135,8 +135,8 @@ def test_ladders_are_climbed_by_settings_that_exist():
 class FakeSurveyor:
     """Renders nothing: times and errors of frames are the model's with a twist."""
 
-    def __init__(self, twist, noise=(1.0,)):
-        self.samples, self.twist, self.noise, self.looked = 64, twist, itertools.cycle(noise), []
+    def __init__(self, twist):
+        self.samples, self.twist, self.looked = 64, twist, []
         self.market = Market(small_grid(), small_ladders())
         device = SimpleNamespace(is_cuda=True, is_cpu=False)
         self.probe = SimpleNamespace(
@@ -151,7 +151,7 @@ class FakeSurveyor:
         return self.twist(self.choice, *self.market.predict(self.choice))
 
     def frames(self, first, count):
-        return [self.truth()[0] * next(self.noise) for _ in range(count)]
+        return [self.truth()[0]] * count
 
 
 def chooser(surveyor, budget=None, error=None):
@@ -179,11 +179,31 @@ def test_a_model_that_is_wrong_is_corrected(budget):
 
 
 def test_frames_that_do_not_hold_give_way_to_ones_that_do():
-    # One frame in seven takes a third longer: two of the ten that are seen, but the interval shows them, too.
-    surveyor = FakeSurveyor(lambda choice, ms, error: (ms, error), noise=[1.0] * 11 + [1.4] + [1.0] * 5)
-    bought = chooser(surveyor, 1.0).choose()
+    # What lies near the budget is over it in every tenth frame, of those that come after the ones it is chosen by.
+    surveyor = FakeSurveyor(lambda choice, ms, error: (ms, error))
+    plain = chooser(surveyor, 1.0).choose()
+    assert plain.ms.median > 0.9
+
+    def frames(first, count):
+        late = 1.3 if first > choose.SEEN["cuda"] else 1.0
+        return [surveyor.truth()[0] * (late if k % 10 == 0 else 1.0) for k in range(count)]
+
+    surveyor.probe.frames = frames
+    buyer = chooser(surveyor, 1.0)
+    bought = buyer.choose()
     assert bought.held >= choose.HELD_SHARE and bought.unseen.count == choose.UNSEEN["cuda"]
-    assert sum(look == bought.choice for look in surveyor.looked) >= 2
+    assert bought.ms.median <= 1.0 / 1.3 + 1e-9 and bought.error > plain.error
+    tried = [v for v in buyer.verified.values() if v.held is not None]
+    assert len(tried) >= 2 and min(v.held for v in tried) == pytest.approx(0.9)
+
+
+def test_what_never_holds_says_by_how_much():
+    surveyor = FakeSurveyor(lambda choice, ms, error: (ms, error))
+    surveyor.probe.frames = lambda first, count: [
+        surveyor.truth()[0] * (9.0 if first > choose.SEEN["cuda"] and k % 5 == 0 else 1.0) for k in range(count)
+    ]
+    bought = chooser(surveyor, 1.0).choose()
+    assert bought.held == pytest.approx(0.8)
 
 
 def test_an_impossible_budget_gets_the_fastest_frame():
@@ -219,16 +239,40 @@ def test_the_account_of_a_choice_adds_up():
     cheapest = buyer.market.ms.min()
     assert {p.stage for p in (*bought, *left)} <= {"size and samples", *RUNGS}
     assert all(p.error > 0.0 and p.rung != p.instead for p in (*bought, *left))
+    size = next(p for p in bought if p.stage == "size and samples")
+    assert size.rung == "4 samples at two_thirds size" and size.instead == "1 sample at half size"
     assert all(p.error < chosen.error for p in left) and [p.ms for p in left] == sorted(p.ms for p in left)
     assert chosen.predicted_ms - sum(p.ms for p in bought) == pytest.approx(cheapest, abs=0.4)
     assert "0.1 ms more would buy" in reports.next_purchase(buyer, chosen)
+
+
+def test_the_verdict_says_by_how_much_it_is_not_kept():
+    some = wd.Fit(
+        wd.Settings(), 1.0, None, True, Spread(0.9, 0.88, 0.95, 60), 59 / 60, 0.03, 0.88, 0.031, (), (), "next", (),
+        "64 samples", "x at 8x4 on cpu", 2.0, 0.3, 7.0, 43, 30, "",
+    )  # fmt: skip
+    assert some.verdict == "the budget is kept: 98% of 60 frames not seen before are within 1 ms"
+    late = dataclasses.replace(some, held=0.9, ms=Spread(0.97, 0.9, 1.2, 60))
+    assert "not always kept: 90% of 60" in late.verdict and "95 % of frames take up to 1.2 ms" in late.verdict
+    over = dataclasses.replace(some, budget_ms=0.5, held=0.0)
+    assert "cannot be kept: this is the fastest frame, 0.4 ms over" in over.verdict
+    both = dataclasses.replace(some, max_error=0.02)
+    assert "the error cannot be had within the budget: 0.0300 is the nearest to 0.02" in both.verdict
+    alone = dataclasses.replace(some, budget_ms=None, held=None, max_error=0.04)
+    assert alone.verdict == "the error is kept: 0.0300 of 0.04"
+    text = str(some)
+    assert "30 frames looked at in 2.0 s, 0.3 s of them to load kernels, and 7.0 s to compile 43 modules" in text
+    assert "settings: the defaults" in text and "prices measured now" in text
+    draft = reports.assignments(wd.Settings(preset="draft"))
+    assert wd.Settings().with_values(draft) == wd.Settings(preset="draft").replace(preset="none").with_values(draft)
+    assert reports.assignments(wd.Settings().with_values(["shadow.rung=hard"])) == ["shadow.rung=hard"]
 
 
 # ---- prices that are kept
 
 
 def known_survey():
-    return survey.Survey(
+    return Survey(
         small_grid(), small_ladders(), "tiles_depth, 32 px", (0.4, 0.5), {"shadow": "shadow.rung=pcf"},
         {"bloom": "no lens"}, ["x"], 64, {"ambient_visibility": 64}, 64, {"ambient_visibility": 8},
         Spread(0.5, 0.4, 0.6, 9), math.inf,
@@ -301,23 +345,26 @@ def test_a_fit_of_a_small_scene(device, tmp_path):
     scene = wd.load("motion")
     scene.camera = scene.camera or scene.cameras[0]
     before = [np.array(i.transform) for i in scene.instances], scene.settings, scene.camera
-    wish = dict(width=48, height=27, device=device, budget_ms=500.0, cache=tmp_path,
-                settings=wd.Settings().with_values(["shadow.rung=off", "gbuffer.normal=oct24", "shade.radiance=half",
-                                                    "motion_blur.rung=velocity_gather", "scale.rung=off",
-                                                    "light_culling.tile_size=16", "ambient_visibility.rung=gtao"]))  # fmt: skip
+    held = wd.Settings().with_values([
+        "shadow.rung=off", "gbuffer.normal=oct24", "shade.radiance=half", "motion_blur.rung=velocity_gather",
+        "scale.rung=off", "light_culling.tile_size=16", "ambient_visibility.rung=gtao",
+    ])  # fmt: skip
+    wish = {"width": 48, "height": 27, "device": device, "budget_ms": 60.0, "cache": tmp_path, "settings": held}
+    kind = "cpu" if device == "cpu" else "cuda"
     seen = []
     bought = wd.fit(scene, progress=lambda *a: seen.append(a), **wish)
-    assert bought.met and bought.ms.p95 <= 500.0 and bought.held >= 0.95 and not bought.cached
-    assert bought.settings.anti_aliasing.rung in ("samples_16", "samples_64") and bought.error <= 0.02
+    # Times belong to the machine, and to what else runs on it.
+    assert bought.met == (bought.held >= 0.95) and bought.ms.count == choose.UNSEEN[kind] and not bought.cached
+    assert 0.0 < bought.error < 0.2 and bought.budget_ms == 60.0
     assert bought.settings.shadow.rung == "off" and any("held as set: shadow" in note for note in bought.notes)
     assert seen and all(0 <= done <= total for _, done, total in seen)
     text = str(bought)
-    assert "the budget is kept" in text and "bought" in text and "0.1 ms more" in text and "anti_aliasing" in text
+    assert "the budget " in text and "0.1 ms more" in text and "anti_aliasing" in text
     assert json.loads(json.dumps(bought.to_dict()))["settings"]
     # The scene is as it was.
     assert all(np.array_equal(a, i.transform) for a, i in zip(before[0], scene.instances, strict=True))
     assert (scene.settings, scene.camera) == before[1:]
     again = wd.fit(scene, **wish)
-    assert again.cached and again.plans < bought.plans and again.met
+    assert again.cached and again.plans < bought.plans
     picture = wd.Renderer(scene, width=48, height=27, device=device, settings=again.settings).render()
     assert picture.numpy("display").any()

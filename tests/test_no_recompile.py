@@ -1,6 +1,7 @@
 """A frame after the first one only replays: it loads no module, makes no kernel, allocates nothing, builds no plan."""
 
 import numpy as np
+import pytest
 import warp as wp
 from builders import FULL, LAYERS, Spy, assert_same, box, gallery, images, tilt
 
@@ -121,3 +122,25 @@ def test_an_output_outlives_its_renderer(device):
     # Memory that nobody holds would be handed out again here.
     others = [wp.full(color.size, value=7.0, dtype=wp.vec3, device=device) for _ in range(4)]
     assert np.array_equal(color.numpy(), kept) and len(others) == 4
+
+
+def test_settings_are_changed_and_prepared_for_a_camera(device):
+    scene = gallery()
+    camera = scene.camera.replace(bloom=0.2)
+    renderer = renderer_of(scene, device)
+    renderer.prepare(camera=camera)
+    assert any(stage.name == "bloom" for stage in renderer.plan.passes) == ("display" in renderer.outputs)
+    with Spy() as spy:
+        renderer.render(camera)
+    assert not spy.plans
+    full = images(renderer.render(camera))
+    renderer.settings = FULL.with_values(["gbuffer.rung=compact"])
+    assert renderer.settings.gbuffer.rung == "compact"
+    assert not np.array_equal(images(renderer.render(camera))["color"], full["color"])
+    renderer.settings = None
+    assert renderer.settings is scene.settings
+    renderer.settings = FULL
+    assert_same(images(renderer.render(camera)), full)
+    with pytest.raises(wd.InputError, match=r"Renderer\.settings: expected a Settings object, got 'str'"):
+        renderer.settings = "draft"
+    assert renderer.cameras_of(None) == [scene.camera] and renderer.cameras_of([camera, camera]) == [camera] * 2

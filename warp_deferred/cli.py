@@ -139,7 +139,7 @@ def render(
     outputs = arguments.wanted_outputs(files, arguments.parse_layers(layers))
     if view is not None:
         set_ = [*(set_ or ()), f"display.view={arguments.check_view(view, outputs)}"]
-    arguments.check_wishes(budget_ms, max_error, preset, view)
+    arguments.check_wishes(budget_ms, max_error, preset, view, outputs)
     points = arguments.parse_points(eye, target)
     scene, settings, chosen = _open(source, set_, device, quiet, preset)
     if wanted_frames is not None:

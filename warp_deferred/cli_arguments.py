@@ -129,7 +129,13 @@ def check_view(name: str, outputs: Sequence[str]) -> str:
     return name
 
 
-def check_wishes(budget_ms: float | None, max_error: float | None, preset: str | None, view: str | None = None) -> None:
+def check_wishes(
+    budget_ms: float | None,
+    max_error: float | None,
+    preset: str | None,
+    view: str | None,
+    outputs: Sequence[str],
+) -> None:
     """Refuse budgets and errors that are no number above zero, and what cannot stand together with them."""
     wishes = {"--budget-ms": budget_ms, "--max-error": max_error}
     for label, value in wishes.items():
@@ -140,6 +146,8 @@ def check_wishes(budget_ms: float | None, max_error: float | None, preset: str |
         raise input_error(
             "--preset", f"none beside {given[0]}", preset, "a budget chooses every rung that --set does not"
         )
+    if given and "display" not in outputs:
+        raise input_error(given[0], "a .png among the outputs", ", ".join(outputs), "add -o NAME.png")
     if given and view not in (None, "picture"):
         raise input_error("--view", f"none beside {given[0]}", view, "errors are those of the picture")
 

@@ -155,6 +155,10 @@ def _settings(report: LoadReport, table: dict[str, Any]) -> Settings:
     result = Settings()
     _known(report, "[settings]", table, result.stages)
     for stage, values in table.items():
+        if stage == "preset":
+            with report.at("[settings]"):
+                result = result.replace(preset=values)
+            continue
         current = getattr(result, stage)
         where = f"[settings.{stage}]"
         _known(report, where, _table(report, values, where), type(current).model_fields)

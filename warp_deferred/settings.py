@@ -115,8 +115,8 @@ class Settings(Record):
 
     preset: Literal["none", "draft", "balanced", "high", "reference"] = "none"
     """A rung for every ladder at once, chosen from measurements: presets.py tells each one's price and error. What is
-    set beside it, field by field, goes before it. draft: for time; balanced; high: the best rungs that do not take
-    many samples of what one would do for; reference: every ladder's most accurate rung, seconds a frame."""
+    set beside it, field by field, goes before it. draft: for time; balanced: to where more of it buys little; high: to
+    where it buys next to nothing; reference: every ladder's most accurate rung, seconds a frame."""
 
     @property
     def stages(self) -> list[str]:

@@ -30,10 +30,10 @@ from ..settings import Settings
 from . import cache as kept
 from .choose import HELD_SHARE, Chooser, Verified
 from .ladders import held_fields
-from .model import Market
+from .model import Market, Survey
 from .probe import Probe
 from .report import Fit, left_out, next_purchase, notes, purchases
-from .survey import Progress, Survey, Surveyor
+from .survey import Progress, Surveyor
 
 __all__ = ["Fit", "fit"]
 
@@ -85,20 +85,14 @@ def fit(
         DeviceError: If the device is not there.
     """
     started = time.perf_counter()
-    budget_ms, max_error = _check_wishes(budget_ms, max_error)
-    if "display" not in outputs:
-        raise input_error("fit.outputs", "display among them", list(outputs), "errors are those of the picture")
-    renderer = Renderer(scene, width=width, height=height, device=device, outputs=outputs, threads=threads)
-    renderer.settings = settings
-    settings = renderer.settings
-    if settings.preset != "none":
-        raise input_error("fit.settings.preset", "none", settings.preset, "a budget chooses every rung that is not set")
-    cameras = renderer.cameras_of(camera)
-    probe = Probe(renderer, cameras, check_range("fit.time_s", time_s, -1e9, 1e9, unit="s"))
+    budget_ms, max_error = _check_wishes(budget_ms, max_error, outputs)
+    renderer = Renderer(
+        scene, width=width, height=height, device=device, outputs=outputs, settings=settings, threads=threads
+    )
+    probe = Probe(renderer, renderer.cameras_of(camera), check_range("fit.time_s", time_s, -1e9, 1e9, unit="s"))
     where = None if cache is False else kept.folder() if cache is True else Path(cache)
-    surveyor = Surveyor(probe, settings, held_fields(settings), budget_ms, progress)
+    surveyor = Surveyor(probe, renderer.settings, _held(renderer.settings), budget_ms, progress)
     with probe.restoring(), wp.ScopedDevice(renderer.device):
-        probe.animate(probe.now_s)
         survey, date = _survey(surveyor, where)
         market = Market(survey.grid, survey.ladders)
         chooser = Chooser(market, surveyor, surveyor.truth(survey), budget_ms, max_error, survey.whole_samples)
@@ -106,8 +100,17 @@ def fit(
     return _account(chooser, survey, chosen, date, time.perf_counter() - started)
 
 
-def _check_wishes(budget_ms: Any, max_error: Any) -> tuple[float | None, float | None]:
+def _held(settings: Settings) -> frozenset[tuple[str, str]]:
+    """What stays as it is; a preset would hold everything."""
+    if settings.preset != "none":
+        raise input_error("fit.settings.preset", "none", settings.preset, "a budget chooses every rung that is not set")
+    return held_fields(settings)
+
+
+def _check_wishes(budget_ms: Any, max_error: Any, outputs: Sequence[str]) -> tuple[float | None, float | None]:
     """Check that something sensible is asked for."""
+    if "display" not in outputs:
+        raise input_error("fit.outputs", "display among them", list(outputs), "errors are those of the picture")
     if budget_ms is None and max_error is None:
         raise input_error("fit", "budget_ms, max_error or both", "<neither>", "such as budget_ms=1.0")
     wishes = []

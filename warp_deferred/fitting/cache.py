@@ -25,8 +25,7 @@ from ..renderer import Renderer
 from ..settings import Settings
 from .clock import Spread
 from .ladders import EXACT, LADDERS, PIXEL_SAMPLES, SCALES
-from .model import Grid, LadderPrices, Offer
-from .survey import Survey
+from .model import Grid, LadderPrices, Offer, Survey
 
 __all__ = ["FORMAT", "folder", "load", "save", "signature"]
 
@@ -121,6 +120,7 @@ def _to_data(survey: Survey) -> dict[str, Any]:
         "errors": [[*key, error] for key, error in grid.errors.items()],
         "fxaa_ms": grid.fxaa_ms,
         "least": grid.least,
+        "moving_ms": grid.moving_ms,
     }
     data["ladders"] = [dataclasses.asdict(ladder) for ladder in survey.ladders]
     data["base"] = dataclasses.asdict(survey.base)
@@ -137,6 +137,7 @@ def _from_data(data: dict[str, Any]) -> Survey:
             {(scale, rung): float(error) for scale, rung, error in grid["errors"]},
             float(grid["fxaa_ms"]),
             int(grid["least"]),
+            float(grid["moving_ms"]),
         ),
         "ladders": tuple(
             LadderPrices(row["name"], row["part"], tuple(Offer(**offer) for offer in row["offers"]))
@@ -155,7 +156,7 @@ def _check(survey: Survey) -> None:
     for ladder in survey.ladders:
         for offer in ladder.offers:
             known[ladder.name].rung(offer.rung)
-            if not np.isfinite([offer.ms, offer.error]).all() or offer.error < 0.0:
+            if not np.isfinite([offer.ms, offer.once_ms, offer.error]).all() or offer.error < 0.0:
                 raise ValueError(offer)
     for (scale, _), ms in survey.grid.times.items():
         if scale not in SCALES or not ms > 0.0 or not np.isfinite(ms):

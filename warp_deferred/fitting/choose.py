@@ -9,6 +9,7 @@ seen: where fewer than 19 of 20 stay within the budget, the next best frame is t
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
 import warp as wp
@@ -28,7 +29,7 @@ MOST_VERIFIED, MOST_TRIES = 10, 4
 #: What a frame must promise to be looked at: so much less error, or time, than the best so far.
 WORTHWHILE = 0.02
 #: Frames timed one by one for a verified time, and of an interval that was not seen: on CUDA, on the CPU.
-SEEN, UNSEEN = {"cuda": 10, "cpu": 5}, {"cuda": 60, "cpu": 20}
+SEEN, UNSEEN = {"cuda": 10, "cpu": 5}, {"cuda": 40, "cpu": 20}
 #: Time after which fewer frames must do, but for those that a budget is held against [ms].
 PATIENCE_MS = 3_000.0
 
@@ -120,21 +121,29 @@ class Chooser:
         seen = list(self.verified.items())
         if not seen:
             return ms, error
-        slower = np.array([(v.ms.p95 - v.predicted_ms, v.error**2 - v.predicted_error**2) for _, v in seen])
         places = [index for index, _ in seen]
-        weights = self.market.weight[places]
-        every = np.median(slower / np.column_stack([weights, np.ones(len(seen))]), axis=0)
-        # Cells that nobody has looked at: as much a sample and pixel, but no more than what was seen.
-        added = np.column_stack([self.market.weight * every[0], np.full(len(ms), every[1])])
-        added[:, 0] = np.minimum(added[:, 0], np.median(slower[:, 0]))
-        cells = self.market.cell[places]
+        cells, weights = self.market.cell[places], self.market.weight[places]
+        time = np.array([_correction(v.predicted_ms, v.ms.p95) for _, v in seen])
+        square = np.array([_correction(v.predicted_error**2, v.error**2) for _, v in seen])
+        # Sizes and samples that nobody has looked at: as much more a sample and pixel, but no more than what was seen.
+        factor, more = np.median(time[:, 0]), np.median(time[:, 1] / weights)
+        ms = factor * ms + np.minimum(more * self.market.weight, np.median(time[:, 1]))
+        factor, more = np.median(square, axis=0)
+        error = factor * error**2 + more
         for cell in set(cells.tolist()):
-            added[self.market.cell == cell] = slower[cells == cell][-1]
-        ms += added[:, 0]
-        error = np.sqrt(np.maximum(error**2 + added[:, 1], 0.0))
+            own, last = self.market.cell == cell, np.flatnonzero(cells == cell)[-1]
+            ms[own] = time[last, 0] * self.market.ms[own] + time[last, 1]
+            error[own] = square[last, 0] * self.market.error[own] ** 2 + square[last, 1]
+        error = np.sqrt(error)
         for index, v in seen:
             ms[index], error[index] = v.ms.p95, v.error
         return ms, error
+
+    def swapped(self, chosen: Verified, other: Choice) -> tuple[float, float]:
+        """What another frame takes more than a verified one [ms], and what its picture is off by, corrected by it."""
+        ms, error = self.market.predict(other)
+        factor, more = _correction(chosen.predicted_error**2, chosen.error**2)
+        return ms - chosen.predicted_ms, math.sqrt(factor * error**2 + more)
 
     def _promising(self) -> int | None:
         """The frame to look at next: the best that was not, if it promises enough."""
@@ -168,10 +177,11 @@ class Chooser:
             return index
         ms, _ = self.corrected()
         ms[list(self._ruled_out)] = np.inf
-        for _ in range(2):
+        for _ in range(MOST_TRIES):
             index = int(np.argmin(ms))
-            if index not in self.verified:
-                self._verify(index)
+            if index in self.verified:
+                break
+            self._verify(index)
             ms, _ = self.corrected()
             ms[list(self._ruled_out)] = np.inf
         usable = [k for k in self.verified if k not in self._ruled_out] or list(self.verified)
@@ -218,3 +228,10 @@ def short(choice: Choice) -> str:
 
     usual = {ladder.name: ladder.base for ladder in LADDERS} | {"scale": "off", EXACT.name: EXACT.base}
     return ", ".join(f"{name} {rung}" for name, rung in choice.items() if usual.get(name) != rung)
+
+
+def _correction(predicted: float, found: float) -> tuple[float, float]:
+    """Factor and summand that make what was found of what was predicted: what was too much shrinks in proportion."""
+    if found < predicted:
+        return found / predicted, 0.0
+    return 1.0, found - predicted

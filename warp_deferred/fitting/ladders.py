@@ -121,7 +121,7 @@ LADDERS: tuple[Ladder, ...] = (
 )  # fmt: skip
 #: Ladders whose reference takes a number of samples of its own: the setting that says how many.
 AMOUNTS = {"shadow": "shadow.samples", "ambient_visibility": "ambient_visibility.rays"}
-#: Lights up to which testing all of them everywhere may be the fastest.
+#: Lights up to which testing them against depth, or at all, may cost more than it spares.
 FEW_LIGHTS = 64
 #: Rungs of light culling: every one gives the same bits, so the fastest is free.
 EXACT = Ladder(

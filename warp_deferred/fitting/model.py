@@ -19,9 +19,10 @@ from typing import Literal
 
 import numpy as np
 
+from .clock import Spread
 from .ladders import PIXEL_SAMPLES, SCALES
 
-__all__ = ["Choice", "Grid", "LadderPrices", "Market", "Offer", "best", "share", "undominated"]
+__all__ = ["Choice", "Grid", "LadderPrices", "Market", "Offer", "Survey", "best", "share", "undominated"]
 
 #: No choice of rungs makes a frame take less than this share of the same frame at base rungs: where measured prices say
 #: so, it is noise that many samples have multiplied.
@@ -40,6 +41,7 @@ class Offer:
         error: RMSE of the picture against the ladder's reference rung, all else at its base.
         samples: Samples a pixel that a frame with it takes at least.
         estimated: Whether the price was not measured but follows from a cheaper rung's.
+        once_ms: What a frame of a scene that moves takes more beside, once, however many pixels and samples [ms].
     """
 
     rung: str
@@ -47,6 +49,7 @@ class Offer:
     error: float
     samples: int = 1
     estimated: bool = False
+    once_ms: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -77,12 +80,14 @@ class Grid:
         errors: (rung of `scale`, rung of `anti_aliasing`) -> RMSE of the picture against the best size and samples.
         fxaa_ms: What `fxaa` adds once a frame at full size [ms].
         least: Samples that what is held takes in any case.
+        moving_ms: What a frame as it comes, with its uploads, takes more than one that is replayed [ms].
     """
 
     times: Mapping[tuple[str, int], float]
     errors: Mapping[tuple[str, str], float]
     fxaa_ms: float = 0.0
     least: int = 1
+    moving_ms: float = 0.0
 
     def samples(self, rung: str, offers: Iterable[Offer]) -> int:
         """Samples that a frame takes: the most that a rung asks for."""
@@ -101,6 +106,49 @@ class Grid:
         return start + (samples - first) * slope
 
 
+@dataclasses.dataclass
+class Survey:
+    """What was measured; plain data, so that it can be kept.
+
+    Attributes:
+        grid: Frames by size and samples.
+        ladders: Prices and errors of the other ladders that the scene calls for.
+        free: The rung of light culling that is fastest, and its time with that of the base rung [ms]; "" if held.
+        held: Ladders that the user's settings hold, and the rung each is held at.
+        absent: Ladders that nothing calls for, and why.
+        unmeasured: Frames of the grid that were not measured, being far past the budget, and about what they take.
+        samples: Samples a pixel of the reference.
+        counts: Rays or samples of ladders' references.
+        whole_samples: Samples a pixel of the picture in which all references stand together.
+        whole_counts: Rays or samples in it.
+        base: Time of the base frame.
+        reach_ms: Budget up to which the grid was measured; infinity for all of it.
+    """
+
+    grid: Grid
+    ladders: tuple[LadderPrices, ...]
+    free: str
+    free_ms: tuple[float, float]
+    held: dict[str, str]
+    absent: dict[str, str]
+    unmeasured: list[str]
+    samples: int
+    counts: dict[str, int]
+    whole_samples: int
+    whole_counts: dict[str, int]
+    base: Spread
+    reach_ms: float
+
+    def reference(self) -> str:
+        """What errors are taken against, in words."""
+        parts = [f"{self.whole_samples} samples a pixel"] if self.whole_samples > 1 else []
+        for ladder in self.ladders:
+            count = self.whole_counts.get(ladder.name)
+            name = ladder.offers[-1].rung
+            parts.append(f"{ladder.name} {name}" + (f" with {count} a pixel and sample" if count else ""))
+        return ", ".join(parts) or "the picture itself: nothing is for sale"
+
+
 def share(scale: str) -> float:
     """Share of the shown pixels that is rendered."""
     return SCALES[scale] ** 2
@@ -108,7 +156,7 @@ def share(scale: str) -> float:
 
 def undominated(offers: Sequence[Offer]) -> tuple[Offer, ...]:
     """Offers that no other one beats in price, error and samples at once; of equal ones the first stays."""
-    keys = [(offer.ms, offer.error, offer.samples) for offer in offers]
+    keys = [(offer.ms, offer.once_ms, offer.error, offer.samples) for offer in offers]
     return tuple(
         offer
         for k, offer in enumerate(offers)
@@ -156,12 +204,12 @@ class Market:
 
     def _block(self, scale: str, rung: str, taken: Sequence[Offer], samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Times and squared errors of all frames of one size and one number of samples."""
-        ms = np.array([self.grid.time(scale, samples) + self._fxaa(scale, rung)])
+        ms = np.array([self.grid.time(scale, samples) + self._fxaa(scale, rung) + self.grid.moving_ms])
         square = np.array([self.grid.errors[scale, rung] ** 2])
         for k, (ladder, offers) in enumerate(self._kept):
             chosen = [taken[k]] if k < len(taken) else offers
             weight = share(scale) * (samples if ladder.part == "sample" else 1)
-            ms = np.add.outer(ms, [offer.ms * weight for offer in chosen]).ravel()
+            ms = np.add.outer(ms, [offer.ms * weight + offer.once_ms for offer in chosen]).ravel()
             square = np.add.outer(square, [offer.error**2 for offer in chosen]).ravel()
         return np.maximum(ms, FLOOR * self.grid.time(scale, samples)), square
 
@@ -191,9 +239,9 @@ class Market:
         offers = [(ladder, ladder.offer(choice[ladder.name])) for ladder in self.ladders]
         scale, rung = choice["scale"], choice["anti_aliasing"]
         samples = self.samples(choice)
-        ms = self.grid.time(scale, samples) + self._fxaa(scale, rung)
+        ms = self.grid.time(scale, samples) + self._fxaa(scale, rung) + self.grid.moving_ms
         for ladder, offer in offers:
-            ms += offer.ms * share(scale) * (samples if ladder.part == "sample" else 1)
+            ms += offer.ms * share(scale) * (samples if ladder.part == "sample" else 1) + offer.once_ms
         square = self.grid.errors[scale, rung] ** 2 + sum(offer.error**2 for _, offer in offers)
         return max(ms, FLOOR * self.grid.time(scale, samples)), math.sqrt(square)
 

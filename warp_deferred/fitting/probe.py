@@ -26,6 +26,8 @@ __all__ = ["FRAME_S", "Probe"]
 
 #: Time from one frame to the next of a scene that moves [s].
 FRAME_S = 1.0 / 30.0
+#: Frames as they come that make a price.
+FEW = 5
 
 
 class Probe:
@@ -128,6 +130,12 @@ class Probe:
         """Times of the last look's frame, replayed."""
         return replays(self.plan.resources.program)
 
+    def in_motion(self) -> float:
+        """Time of frames as they come after the last look, the moment put back [ms]: as `price` has it."""
+        spread = Spread.of(self.frames(1, FEW + 1)[1:])
+        self.animate(self.now_s)
+        return spread.median if self.device.is_cuda else spread.p5
+
     def frames(self, first: int, count: int) -> list[float]:
         """Times of `count` frames from the `first` one on after the scene's moment [ms]; the same again if it rests."""
 
@@ -143,7 +151,8 @@ class Probe:
 
     @contextlib.contextmanager
     def restoring(self) -> Any:
-        """Put the scene back to its moment, and the renderer to its settings, whatever happens."""
+        """Show the scene's moment, and put scene and settings back to it, whatever happens."""
+        self.animate(self.now_s)
         try:
             yield
         finally:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
@@ -12,9 +11,8 @@ from ..explain import table
 from ..settings import Settings
 from .choose import Chooser, Verified
 from .clock import Spread
-from .ladders import EXACT
-from .model import Choice, best
-from .survey import Survey
+from .ladders import EXACT, PIXEL_SAMPLES
+from .model import Choice, Survey, best
 
 __all__ = ["NEXT_MS", "Fit", "Purchase", "assignments", "left_out", "next_purchase", "notes", "purchases"]
 
@@ -134,11 +132,13 @@ class Fit:
             f"  against {self.reference}",
         ]
         if self.bought:
-            rows = [[p.stage, p.rung, f"{p.ms:+.3f}", f"{p.error:.4f}", p.instead] for p in self.bought]
+            rows = [[p.stage, p.rung, f"{round(p.ms, 3) + 0.0:+.3f}", f"{p.error:.4f}", p.instead] for p in self.bought]
             lines += ["", table("bought", [("stage", "left"), ("rung", "left"), ("ms", "right"),
                                            ("error without", "right"), ("in place of", "left")], rows)]  # fmt: skip
         if self.left_out:
-            rows = [[p.stage, p.rung, f"{p.ms:+.3f}", f"{p.error:.4f}", p.instead] for p in self.left_out]
+            rows = [
+                [p.stage, p.rung, f"{round(p.ms, 3) + 0.0:+.3f}", f"{p.error:.4f}", p.instead] for p in self.left_out
+            ]
             lines += ["", table("left out", [("stage", "left"), ("rung", "left"), ("ms", "right"),
                                              ("error with", "right"), ("in place of", "left")], rows)]  # fmt: skip
         lines += ["", f"  {self.next}", *(f"  {note}" for note in self.notes)]
@@ -165,11 +165,12 @@ def assignments(settings: Settings) -> list[str]:
 def purchases(chooser: Chooser, chosen: Verified) -> tuple[Purchase, ...]:
     """What was bought: each stage's rung in place of its cheapest one, dear to cheap."""
     result = []
-    for stage, cheap in _cheapest(chooser).items():
+    for stage, options in _options(chooser).items():
+        cheap = min(options, key=lambda option: chooser.market.predict(chosen.choice | option)[0])
         other = chosen.choice | cheap
         if other == chosen.choice:
             continue
-        ms, error = _difference(chooser, chosen, other)
+        ms, error = chooser.swapped(chosen, other)
         result.append(Purchase(stage, _named(chosen.choice, cheap), _named(cheap, cheap), -ms, error))
     return tuple(sorted(result, key=lambda p: -p.ms))
 
@@ -180,7 +181,7 @@ def left_out(chooser: Chooser, chosen: Verified) -> tuple[Purchase, ...]:
     for stage, options in _options(chooser).items():
         found = []
         for option in options:
-            ms, error = _difference(chooser, chosen, chosen.choice | option)
+            ms, error = chooser.swapped(chosen, chosen.choice | option)
             if error < (1.0 - NOTABLE) * chosen.error:
                 found.append(Purchase(stage, _named(option, option), _named(chosen.choice, option), ms, error))
         if found:
@@ -191,7 +192,10 @@ def left_out(chooser: Chooser, chosen: Verified) -> tuple[Purchase, ...]:
 def next_purchase(chooser: Chooser, chosen: Verified) -> str:
     """What `NEXT_MS` more would buy, and if that is nothing, what the next purchase is and what it costs."""
     ms, error = chooser.corrected()
-    spent = chosen.ms.p95 if chooser.budget_ms is None else max(chooser.budget_ms, chosen.ms.p95)
+    # Beyond the budget; where an error was asked for, beyond what it took.
+    spent = chosen.ms.p95
+    if chooser.budget_ms is not None and chooser.max_error is None:
+        spent = max(chooser.budget_ms, spent)
     index = best(ms, error, spent + NEXT_MS, None)
     asked = f"{NEXT_MS:g} ms more"
     if index is not None and error[index] < (1.0 - NOTABLE) * chosen.error:
@@ -212,10 +216,12 @@ def notes(survey: Survey) -> list[str]:
     if survey.free and survey.free != EXACT.base:
         fast, usual = survey.free_ms
         result.append(f"free: light_culling {survey.free}, {usual - fast:.3g} ms less, every rung gives the same bits")
+    if survey.grid.moving_ms > 0.0:
+        result.append(f"uploads and what moves take {survey.grid.moving_ms:.3g} ms of a frame")
     result += [f"held as set: {name} ({value})" for name, value in survey.held.items()]
     if survey.absent:
         listed = "; ".join(f"{name} ({reason})" for name, reason in survey.absent.items())
-        result.append(f"costs nothing, not called for: {listed}")
+        result.append(f"not for sale, costs nothing: {listed}")
     estimated = [f"{x.name} {o.rung}" for x in survey.ladders for o in x.offers if o.estimated]
     if estimated:
         result.append(f"prices that follow from fewer rays: {', '.join(estimated)}")
@@ -231,28 +237,14 @@ def _options(chooser: Chooser) -> dict[str, list[Choice]]:
     return result | {x.name: [{x.name: offer.rung} for offer in x.offers] for x in ladders}
 
 
-def _cheapest(chooser: Chooser) -> dict[str, Choice]:
-    """The cheapest that can be put in each stage's place."""
-    base = chooser.market.choice(0)
-    return {
-        stage: min(options, key=lambda option: chooser.market.predict(base | option)[0])
-        for stage, options in _options(chooser).items()
-    }
-
-
-def _difference(chooser: Chooser, chosen: Verified, other: Choice) -> tuple[float, float]:
-    """What another frame takes more than the chosen one [ms], and what its picture would be off by."""
-    ms, error = chooser.market.predict(other)
-    own_ms, own_error = chooser.market.predict(chosen.choice)
-    return ms - own_ms, math.sqrt(max(chosen.error**2 + error**2 - own_error**2, 0.0))
-
-
 def _named(choice: Choice, keys: Choice) -> str:
     """Rungs of some stages; of size and samples both."""
     if "scale" not in keys:
         return choice[next(iter(keys))]
-    size = "" if choice["scale"] == "off" else f"scale {choice['scale']}, "
-    return f"{size}anti_aliasing {choice['anti_aliasing']}"
+    rung = choice["anti_aliasing"]
+    count = PIXEL_SAMPLES[rung]
+    words = f"{count} sample{'s' if count > 1 else ''}" + (", fxaa" if rung == "fxaa" else "")
+    return words + ("" if choice["scale"] == "off" else f" at {choice['scale']} size")
 
 
 def _change(chooser: Chooser, chosen: Verified, index: int) -> str:

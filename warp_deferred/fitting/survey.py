@@ -18,12 +18,11 @@ import warp as wp
 
 from ..sampling import sample_count
 from ..settings import Settings
-from .clock import Spread
 from .ladders import AMOUNTS, EXACT, FEW_LIGHTS, LADDERS, PIXEL_SAMPLES, SCALES, Ladder, Rung
-from .model import Choice, Grid, LadderPrices, Offer, share
+from .model import Choice, Grid, LadderPrices, Offer, Survey, share
 from .probe import Probe
 
-__all__ = ["Progress", "Survey", "Surveyor"]
+__all__ = ["Progress", "Surveyor"]
 
 #: Called with (what is measured, done, about how many in all).
 Progress = Callable[[str, int, int], Any]
@@ -37,49 +36,6 @@ REACH, CHEAP_MS = 3.0, 25.0
 COUNTS = (64, 16, 8, 4)
 #: Samples of lens and shutter that references take.
 MOST_SAMPLES = 64
-
-
-@dataclasses.dataclass
-class Survey:
-    """What was measured; plain data, so that it can be kept.
-
-    Attributes:
-        grid: Frames by size and samples.
-        ladders: Prices and errors of the other ladders that the scene calls for.
-        free: The rung of light culling that is fastest, and its time with that of the base rung [ms]; "" if held.
-        held: Ladders that the user's settings hold, and the rung each is held at.
-        absent: Ladders that nothing calls for, and why.
-        unmeasured: Frames of the grid that were not measured, being far past the budget, and about what they take.
-        samples: Samples a pixel of the reference.
-        counts: Rays or samples of ladders' references.
-        whole_samples: Samples a pixel of the picture in which all references stand together.
-        whole_counts: Rays or samples in it.
-        base: Time of the base frame.
-        reach_ms: Budget up to which the grid was measured; infinity for all of it.
-    """
-
-    grid: Grid
-    ladders: tuple[LadderPrices, ...]
-    free: str
-    free_ms: tuple[float, float]
-    held: dict[str, str]
-    absent: dict[str, str]
-    unmeasured: list[str]
-    samples: int
-    counts: dict[str, int]
-    whole_samples: int
-    whole_counts: dict[str, int]
-    base: Spread
-    reach_ms: float
-
-    def reference(self) -> str:
-        """What errors are taken against, in words."""
-        parts = [f"{self.whole_samples} samples a pixel"] if self.whole_samples > 1 else []
-        for ladder in self.ladders:
-            count = self.whole_counts.get(ladder.name)
-            name = ladder.offers[-1].rung
-            parts.append(f"{ladder.name} {name}" + (f" with {count} a pixel and sample" if count else ""))
-        return ", ".join(parts) or "the picture itself: nothing is for sale"
 
 
 class Surveyor:
@@ -117,7 +73,6 @@ class Surveyor:
             if (name, "rung") in held:
                 self.fixed[name] = getattr(settings, name).rung
         if "scale" not in self.fixed and probe.renderer.outputs != {"display"}:
-            self.fixed["scale"] = settings.scale.rung
             self.absent["scale"] = "other outputs than display are asked for"
 
     # ---- settings
@@ -151,6 +106,7 @@ class Surveyor:
         self.probe.look(self.at({}))
         base = self.probe.replays()
         self.base_ms, self.base_picture = base.median if self.cuda else base.p5, self.probe.picture()
+        self.moving_ms = max(self.probe.in_motion() - self.base_ms, 0.0)
         self.noise_ms = 0.25 * (base.p95 - base.p5)
         request = self.probe.plan.request
         self.base_samples, self.base_share = sample_count(request), share(request.settings.scale.rung)
@@ -194,7 +150,7 @@ class Surveyor:
         times = {self.free.name: usual_ms}
         few = len(self.probe.renderer.scene.lights) <= FEW_LIGHTS
         for rung in EXACT.rungs:
-            if rung.name not in times and (few or rung.name != "brute_force"):
+            if rung.name not in times and (few or rung.name.startswith("tiles_depth")):
                 self.free = rung
                 self.look(f"light_culling {rung.name}", {})
                 times[rung.name] = self.probe.price()
@@ -230,9 +186,22 @@ class Surveyor:
             if rung.name != ladder.base:
                 self.look(f"{ladder.name} {rung.name}", {ladder.name: rung.name})
                 error, price = self.probe.rmse(picture), self._settled(self.probe.price())
-            offers[rung.name] = self._offer(ladder, rung, price, error, offers, taken)
+            once = self._once(ladder, rung, price)
+            offers[rung.name] = dataclasses.replace(
+                self._offer(ladder, rung, price, error, offers, taken), once_ms=once
+            )
         offers[best.name] = self._top(ladder, best, ms, counts, offers, taken)
         return LadderPrices(ladder.name, ladder.part, tuple(offers[rung.name] for rung in rungs))
+
+    def _once(self, ladder: Ladder, rung: Rung, price: float) -> float:
+        """What a frame in motion takes more than with the base rung, beside what a frame at rest does.
+
+        Shadow maps of what rests are kept, so that a replayed frame draws none; and samples share them.
+        """
+        if ladder.name != "shadow" or rung.name == ladder.base or not self.probe.moves:
+            return 0.0
+        extra = self.probe.in_motion() - price - self.moving_ms
+        return extra if abs(extra) > self.noise_ms else 0.0
 
     def _weight(self, ladder: Ladder) -> float:
         """How often the base frame pays a ladder's price of one sample at full size."""
@@ -271,7 +240,9 @@ class Surveyor:
         wanted = getattr(getattr(self.settings, stage), field)
         without = min(offer.ms for offer in offers.values())
         rays_ms = (ms - self.base_ms) / self._weight(ladder) - without
-        return Offer(rung.name, without + rays_ms * wanted / counts[ladder.name], 0.0, estimated=True)
+        # Rays need no maps, as `off` needs none.
+        once = offers["off"].once_ms
+        return Offer(rung.name, without + rays_ms * wanted / counts[ladder.name], 0.0, 1, True, once)
 
     def _limit_ms(self, kind: str) -> float:
         """Most that a reference may take [ms]."""
@@ -337,7 +308,7 @@ class Surveyor:
                 fxaa_ms = max(self.probe.price() - times[scale, count], 0.0) / share(scale)
         for count, ms in taken.items():
             times.setdefault((scales[0], count), ms)
-        return Grid(times, errors, fxaa_ms, self.base_samples)
+        return Grid(times, errors, fxaa_ms, self.base_samples, self.moving_ms)
 
     def _within_reach(self, ms: float) -> bool:
         if self.budget_ms is None:
