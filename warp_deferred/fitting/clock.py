@@ -24,8 +24,9 @@ __all__ = ["Spread", "frames", "replays", "warm_up"]
 LEAST, ENOUGH_MS, MOST = 5, 6.0, 16
 #: A frame that takes longer than this is replayed once, on CUDA and on the CPU [ms].
 SLOW_MS = (20.0, 300.0)
-#: Copies that keep a device busy while the host queues a frame: a millisecond and a half of a fast card's.
-BUSY_BYTES, BUSY_COPIES = 1 << 28, 12
+#: Copies that keep a device busy while the host queues a frame: first a millisecond and a half of a fast card's, then
+#: twice as many as often as the host was slower.
+BUSY_BYTES, BUSY_COPIES, MOST_COPIES = 1 << 28, 12, 1 << 10
 #: Seconds until clocks have risen.
 WARM_UP_S = 0.15
 
@@ -103,29 +104,39 @@ def _once(program: Program) -> float:
 def frames(device: wp.Device, count: int, prepare: Callable[[int], Any], render: Callable[[], Any]) -> list[float]:
     """Time frames that differ [ms].
 
+    On CUDA a frame does not count that the device began before the host had queued it, for it may have waited.
+
     Args:
         device: Where they are rendered.
-        count: How many.
-        prepare: Called with a frame's number before its clock starts: moves the scene.
+        count: How many that count.
+        prepare: Called with a frame's number, 0, 1, ..., before its clock starts: moves the scene.
         render: Renders it: uploads and launches.
     """
-    values = []
-    events, block, other = [], None, None
-    if device.is_cuda:
-        block = wp.zeros(BUSY_BYTES, dtype=wp.uint8, device=device)
-        other = wp.empty_like(block)
-        events = [wp.Event(device, enable_timing=True) for _ in range(2)]
-    for k in range(count):
-        prepare(k)
-        for _ in range(BUSY_COPIES if events else 0):
+    if not device.is_cuda:
+        return [_host_frame(k, prepare, render) for k in range(count)]
+    values: list[float] = []
+    block, copies = wp.zeros(BUSY_BYTES, dtype=wp.uint8, device=device), BUSY_COPIES
+    other, stream = wp.empty_like(block), wp.get_stream(device)
+    begin, end = (wp.Event(device, enable_timing=True) for _ in range(2))
+    numbers = itertools.count()
+    while len(values) < count:
+        prepare(next(numbers))
+        for _ in range(copies):
             wp.copy(other, block)
-        if events:
-            wp.get_stream(device).record_event(events[0])
-        begun = time.perf_counter()
+        stream.record_event(begin)
         render()
-        values.append((time.perf_counter() - begun) * 1e3)
-        if events:
-            wp.get_stream(device).record_event(events[1])
-            wp.synchronize_device(device)
-            values[-1] = wp.get_event_elapsed_time(*events)
+        late = begin.is_complete and copies < MOST_COPIES
+        stream.record_event(end)
+        wp.synchronize_device(device)
+        if late:
+            copies *= 2
+        else:
+            values.append(wp.get_event_elapsed_time(begin, end))
     return values
+
+
+def _host_frame(k: int, prepare: Callable[[int], Any], render: Callable[[], Any]) -> float:
+    prepare(k)
+    begun = time.perf_counter()
+    render()
+    return (time.perf_counter() - begun) * 1e3
