@@ -136,7 +136,7 @@ class FakeSurveyor:
     """Renders nothing: times and errors of frames are the model's with a twist."""
 
     def __init__(self, twist):
-        self.samples, self.twist, self.looked = 64, twist, []
+        self.samples, self.twist, self.looked, self.timed = 64, twist, [], []
         self.market = Market(small_grid(), small_ladders())
         device = SimpleNamespace(is_cuda=True, is_cpu=False)
         self.probe = SimpleNamespace(
@@ -151,6 +151,7 @@ class FakeSurveyor:
         return self.twist(self.choice, *self.market.predict(self.choice))
 
     def frames(self, first, count):
+        self.timed.append(range(first, first + count))
         return [self.truth()[0]] * count
 
 
@@ -176,6 +177,9 @@ def test_a_model_that_is_wrong_is_corrected(budget):
     assert bought.ms.p95 <= budget and bought.held == 1.0
     assert bought.error <= 1.15 * truly_best(surveyor, budget)
     assert len(surveyor.looked) <= choose.MOST_VERIFIED + 2
+    # What the budget is held against was not seen before.
+    *seen, unseen = surveyor.timed
+    assert len(unseen) == choose.UNSEEN["cuda"] and not any(set(unseen) & set(before) for before in seen)
 
 
 def test_frames_that_do_not_hold_give_way_to_ones_that_do():
@@ -185,7 +189,7 @@ def test_frames_that_do_not_hold_give_way_to_ones_that_do():
     assert plain.ms.median > 0.9
 
     def frames(first, count):
-        late = 1.3 if first > choose.SEEN["cuda"] else 1.0
+        late = 1.3 if first > choose.SEEN["cuda"] + 1 else 1.0
         return [surveyor.truth()[0] * (late if k % 10 == 0 else 1.0) for k in range(count)]
 
     surveyor.probe.frames = frames

@@ -63,7 +63,7 @@ class Chooser:
     Args:
         market: All frames with their predictions.
         surveyor: Knows settings and looks.
-        truth: The reference's picture; None: errors are taken from `known`, or predicted.
+        truth: The reference's picture.
         budget_ms: Most a frame may take [ms]; None: any.
         max_error: Most the picture may be off by; None: as little as the budget buys.
         whole_samples: Samples a pixel of the reference.
@@ -85,7 +85,8 @@ class Chooser:
         #: Verified frames by index on the market.
         self.verified: dict[int, Verified] = {}
         self._ruled_out: set[int] = set()
-        self._interval = SEEN[self.kind] + 1
+        #: First frame that nobody has seen; those that are verified by come before.
+        self._interval = SEEN[self.kind] + 2
 
     def choose(self) -> Verified:
         """Buy, verify, and try on unseen frames; the nearest possible where nothing fits."""

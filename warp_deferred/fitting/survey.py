@@ -57,7 +57,7 @@ class Surveyor:
         budget_ms: float | None,
         progress: Progress | None,
     ) -> None:
-        self.probe, self.settings, self.held, self.budget_ms = probe, settings, held, budget_ms
+        self.probe, self.settings, self.budget_ms = probe, settings, budget_ms
         self._progress, self._done = progress, 0
         self.cuda = probe.device.is_cuda
         self.free = EXACT.rung(EXACT.base)
@@ -118,7 +118,7 @@ class Surveyor:
             self._climb(ladder, counts, reference_ms, taken, samples) for ladder in LADDERS if self._sold(ladder)
         )
         grid = self._grid(samples, taken)
-        whole_samples, whole_counts = self._whole(grid, samples, counts, reference_ms)
+        whole_samples, whole_counts = self._whole(samples, counts, reference_ms)
         return Survey(
             grid, ladders, self.free.name if self._sold(EXACT) else "", free_ms,
             dict(self.fixed), dict(self.absent), list(self.unmeasured), samples, counts, whole_samples, whole_counts,
@@ -316,7 +316,7 @@ class Surveyor:
         return ms <= max(REACH * self.budget_ms, CHEAP_MS if self.cuda else 2.0 * self.base_ms)
 
     def _whole(
-        self, grid: Grid, samples: int, counts: dict[str, int], reference_ms: dict[str, float]
+        self, samples: int, counts: dict[str, int], reference_ms: dict[str, float]
     ) -> tuple[int, dict[str, int]]:
         """How many samples and rays the picture may take in which all references stand together."""
         limit, chosen = self._limit_ms("whole"), dict(counts)
