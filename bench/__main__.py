@@ -319,7 +319,9 @@ def presets(
     ] = None,
     out: Annotated[str | None, typer.Option("--out", "-o", metavar="F.py", help="Write the module here.")] = None,
     check: Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if it is out of date.")] = False,
-    measure: Annotated[bool, typer.Option("--measure", help="Write no module; time the presets on scenes.")] = False,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Time the presets on scenes, as --json does; no module.")
+    ] = False,
     device: Device = "cuda:0",
     json: Json = None,
     quick: Quick = False,
@@ -328,7 +330,7 @@ def presets(
     from . import presets as bench
     from .record import ROOT
 
-    if measure:
+    if measure or json is not None:
         _bench("presets", device, json, None, quick, None)
         return
     changed = bench.write(ROOT, from_, None if out is None else Path(out), check=check)
