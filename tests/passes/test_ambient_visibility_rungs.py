@@ -54,6 +54,24 @@ def test_rays_err_by_less_than_a_quarter_of_the_best_rung(corner):
     assert 0.0 < error <= rms(coarse, reference) / 4.0
 
 
+def test_rays_do_not_start_behind_what_is_near(device):
+    """A chamfer that overhangs a floor by 4 mm: rays that start 5 mm off its surface would start below the floor."""
+    scene = wd.Scene()
+    chamfer, floor = ((0.0, 1.0, 1.0), 0.004 * np.sqrt(2.0), 0.002), ((0.0, 0.0, -1.0), 4.0, 0.0)
+    for along, length, middle in (chamfer, floor):
+        up = np.array(along) / np.linalg.norm(along)
+        matrix = np.eye(4)
+        matrix[:3, :3] = np.column_stack([(4.0, 0.0, 0.0), length * up, np.cross((1.0, 0.0, 0.0), up)])
+        matrix[:3, 3] = 0.0, middle, middle
+        scene.add(grid(1, 1.0), transform=matrix, material=MATERIAL)
+    scene.camera = wd.Camera(
+        position=(0.0, 0.0022, 1.0), projection="orthographic", vertical_extent=0.003, near=0.0, far=2.0
+    )
+    v = visibility(scene, "rung=ray_traced", "radius_m=0.5", "bias=0.01", "rays=1024", size=(16, 36), device=device)
+    # What rises above the floor's plane, of a hemisphere about a normal 45 degrees below it.
+    assert np.abs(v - (1.0 - np.sqrt(0.5)) / 2.0).max() <= 0.02
+
+
 @pytest.mark.parametrize("radius", [0.25, 0.6])
 def test_a3_rays_follow_the_closed_form_of_a_crease(radius, device):
     distance, v = crease_profile("ray_traced", f"radius_m={radius}", "bias=0.001", device=device)
