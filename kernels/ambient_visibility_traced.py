@@ -3,10 +3,10 @@
 Rays follow one cosine-weighted low-discrepancy set (Hammersley points, mapped by r = sqrt(u), Malley's method: Pharr,
 Jakob and Humphreys 2023, "Physically Based Rendering", 13.6.3) that each pixel turns about its normal by an angle of
 its own, and end at the radius. The mean over rays is the share of ambient light that arrives. They start a bias above
-the surface, lest it blocks itself where normals are interpolated or large triangles are rounded; nearer, down to a 16th
-of it, where something is in between, such as the floor under a skirting's chamfer, behind which all would be open.
-Block size 64, one thread a pixel; deterministic on one device. CPU and CUDA differ where a ray grazes an edge: by
-1 / rays a pixel.
+the surface, lest it blocks itself where normals are interpolated or large triangles are rounded. Where the viewer does
+not see that point something is in between, such as the floor under a skirting's chamfer, behind which all would be
+open: rays then start nearer, down to a 64th of the bias, as far up as the viewer sees. Block size 64, one thread a
+pixel; deterministic on one device. CPU and CUDA differ where a ray grazes an edge: by 1 / rays a pixel.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .bilateral import final_visibility
 from .encoding import make_gbuffer_codec
 from .hemisphere import tangent_of
 from .intrinsics import load_vec4, load_vec4i
-from .projection import pixel_in_block, pixel_index, relative_position
+from .projection import pixel_in_block, pixel_index, relative_position, view_direction
 from .ray_scene import RayScene, make_blocked
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, GBuffer, View
 
@@ -28,8 +28,11 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 BLOCK_DIM = 64
 #: Rounding of a position rebuilt from depth, as a share of its distance from the eye.
 POSITION_ERROR = wp.constant(4.0e-6)
-#: Least share of the bias that rays start above the surface: two quarterings.
-LEAST_LIFT = wp.constant(0.0625)
+#: Heights above the surface that are tried, each a quarter of the one before.
+LIFTS = wp.constant(4)
+#: What is looked through towards the viewer, in heights; and at most as a share of the way.
+CLEARANCE = wp.constant(16.0)
+CLEAR_SHARE = wp.constant(0.5)
 #: 2 pi / 2^32: from the bits of a hash to an angle.
 TURN = wp.constant(1.4629180792671596e-09)
 #: Multipliers and increment of the hash.
@@ -96,11 +99,15 @@ def make_ambient_visibility_traced_kernel(codec: tuple):
         if not (wp.isfinite(depth) and wp.isfinite(wp.dot(highest, highest)) and wp.isfinite(n)):
             out_visibility[i] = 1.0
             return
-        least = LEAST_LIFT * lift
-        lowest = surface + n * least
-        while lift > least and blocked(rays, view.origin, lowest, n, lift - least, view.world):
-            lift = lift * 0.25
-        start = surface + n * lift
+        towards = view_direction(view, point)
+        clear = wp.min(CLEARANCE * lift, CLEAR_SHARE * depth)
+        tries, hidden = wp.int32(0), wp.bool(True)
+        while hidden and tries < LIFTS:
+            hidden = blocked(rays, view.origin, surface + n * lift, towards, clear, view.world)
+            if hidden:
+                lift = lift * 0.25
+            tries += 1
+        start = wp.where(hidden, highest, surface + n * lift)
         angle = wp.float32(pixel_hash(x, y)) * TURN
         cosine, sine = wp.cos(angle), wp.sin(angle)
         tangent = tangent_of(n)

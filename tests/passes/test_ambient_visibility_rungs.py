@@ -64,8 +64,9 @@ def test_rays_do_not_start_behind_what_is_near(device):
         matrix[:3, :3] = np.column_stack([(4.0, 0.0, 0.0), length * up, np.cross((1.0, 0.0, 0.0), up)])
         matrix[:3, 3] = 0.0, middle, middle
         scene.add(grid(1, 1.0), transform=matrix, material=MATERIAL)
-    scene.camera = wd.Camera(
-        position=(0.0, 0.0022, 1.0), projection="orthographic", vertical_extent=0.003, near=0.0, far=2.0
+    middle = np.array([0.0, 0.0022, 0.0022])
+    scene.camera = wd.Camera.look_at(
+        middle + np.array([0.0, 0.2, 1.0]), middle, projection="orthographic", vertical_extent=0.002, near=0.0, far=2.0
     )
     v = visibility(scene, "rung=ray_traced", "radius_m=0.5", "bias=0.01", "rays=1024", size=(16, 36), device=device)
     # What rises above the floor's plane, of a hemisphere about a normal 45 degrees below it.
