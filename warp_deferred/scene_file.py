@@ -153,7 +153,7 @@ def _light(report: LoadReport, table: dict[str, Any], where: str) -> Any:
 
 def _settings(report: LoadReport, table: dict[str, Any]) -> Settings:
     result = Settings()
-    _known(report, "[settings]", table, result.stages)
+    _known(report, "[settings]", table, [*result.stages, "preset"])
     for stage, values in table.items():
         if stage == "preset":
             with report.at("[settings]"):
