@@ -65,9 +65,12 @@ FRAME_TARGETS = {
     "shadowed_points_1080p": FrameTarget(1.2),
 }
 #: (case, rung) -> most milliseconds it may add to its frame at 1920x1080; cascades: 0.25 to draw and 0.08 to filter.
-#: Ambient visibility is stated for the terrain, as whole frames are, of which 62 % show a surface; in `corner` all do.
+#: No scene is stated for ambient visibility: it is held against both, the terrain of whole frames, of whose pixels 62 %
+#: show a surface, and `corner`, where all do.
 EFFECT_TARGETS_MS = {
     ("shadow_cascades", "pcf"): 0.33,
+    ("ambient_visibility", "gtao"): 0.12,
+    ("ambient_visibility", "gtao_half"): 0.05,
     ("ambient_visibility_terrain", "gtao"): 0.12,
     ("ambient_visibility_terrain", "gtao_half"): 0.05,
     ("bloom", "mip_chain"): 0.05,

@@ -6,10 +6,10 @@ in order, so whatever a block waits for is in the hands of blocks that run alrea
 resident, in any order, and none waits for ever. (The decoupled look-back of prefix sums rests on the same; Merrill and
 Garland 2016, "Single-pass Parallel Prefix Scan with Decoupled Look-back".) The last block done sets the counters back
 to 0. Counting releases what a block wrote, and the end of waiting acquires it. Where shade saw nothing bright every
-block leaves at once: cheaper than a conditional node around the launches, which takes 9 to 11 us of an H200 whether it
-skips them or not.
+block leaves at once: cheaper than a conditional node around the launches, which takes about 10 us of an H200 whether
+it skips them or not.
 
-**Together.** A step costs about 2 us of waiting, so small levels share steps; what several blocks need each makes
+**Together.** A step waits at least 5 us on an H200, so small levels share steps; what several blocks need each makes
 again. Every texel is the one that `downsample_kernel` and `upsample_kernel` make, to the bit. A block keeps a square of
 8 x 8 texels of a level in memory that its lanes share. That is what 2 x 2 texels see on the way down. On the way up it
 is what 8 x 8 texels see, and a square of 8 x 8 again sees no more than 8 x 8 of the level after: one square a level,

@@ -142,7 +142,7 @@ class Pass(abc.ABC):
     #: What the device array of `active` says, in words: "some pixel exceeds the threshold".
     active_if: ClassVar[str] = ""
     #: Whether its kernels look at the array of `active` themselves and leave at once while it is 0: its launches then
-    #: take no conditional node of the graph, which costs as much as six launches that leave.
+    #: take no conditional node of the graph, which costs as much as some four launches that leave.
     leaves_early: bool = False
 
     request: Request
