@@ -110,13 +110,17 @@ def test_threads_with_a_renderer_each_do_not_disturb_one_another(device):
     builds = [gallery, room, gallery, room]
     renderers = [renderer_of(build(), device, threads=k % 3 + 1) for k, build in enumerate(builds)]
     expected = [images(renderer.render()) for renderer in renderers]
-    failures = []
+    failures, start = [], threading.Barrier(len(builds))
+    # Warp's current stream belongs to the device, not to the thread: on CUDA all share it.
+    stream = wp.get_stream(device) if wp.get_device(device).is_cuda else None
 
     def work(k):
-        # Warp's current stream belongs to the device, not to the thread: on CUDA all share it.
         try:
+            start.wait()
             for _ in range(8):
                 assert_same(expected[k], images(renderers[k].render()))
+            # One of the thread's own, which is planned, and on CUDA captured, while the others render.
+            assert_same(expected[k], images(renderer_of(builds[k](), device, threads=2).render()))
         except BaseException as error:
             failures.append((k, error))
 
@@ -126,3 +130,4 @@ def test_threads_with_a_renderer_each_do_not_disturb_one_another(device):
     for thread in threads:
         thread.join()
     assert not failures
+    assert stream is None or wp.get_stream(device) is stream

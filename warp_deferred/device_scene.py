@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import weakref
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,6 +34,13 @@ __all__ = ["DeviceScene"]
 MAX_BLOCKS = 2**32 // CLUSTER_SIZE - 1
 MAX_ELEMENTS = 2**31 - 1
 _cut_cache: dict[tuple[int, bool], tuple[weakref.ref, Clusters, np.ndarray | None]] = {}
+
+
+def _capacity(count: int, whole: int) -> int:
+    """Exact for a view of everything, else the next power of two, so that moving between worlds keeps the plan."""
+    if count <= 0:
+        return 0
+    return count if count % max(whole, 1) == 0 else 1 << (count - 1).bit_length()
 
 
 def _prepare(mesh: Mesh, moving: bool) -> tuple[Clusters, np.ndarray | None]:
@@ -279,6 +287,16 @@ class DeviceScene:
             return (self.instance_count, 0, 0, self.cluster_slots, 0, 0)
         first, count, slot, slots = self._world_ranges.get(world, (0, 0, 0, 0))
         return (shared, first, count, shared_slots, slot, slots)
+
+    def capacities(self, worlds: Sequence[int]) -> dict[str, int]:
+        """How much views of these worlds may see, as fields of a request."""
+        ranges = [self.view_range(w) for w in worlds]
+        return {
+            "pairs": _capacity(sum(r[0] + r[2] for r in ranges), self.instance_count),
+            "candidates": _capacity(sum(r[3] + r[5] for r in ranges), self.cluster_slots),
+            "instances_per_view": _capacity(max(r[0] + r[2] for r in ranges), self.instance_count),
+            "clusters_per_view": _capacity(max(r[3] + r[5] for r in ranges), self.cluster_slots),
+        }
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Box around all instances [m], as the host's transforms placed them last: (low, high), zeros for none."""

@@ -104,10 +104,13 @@ class Frame:
         return self._arrays[name]
 
     def numpy(self, name: str) -> np.ndarray:
-        """Return a copy of one output on the host, shape (view, height, width) or (view, height, width, components)."""
-        array = self[name].numpy()
-        # On the CPU `numpy()` shares memory with the renderer, which will draw over it.
-        return array.copy() if self[name].device.is_cpu else array
+        """Return a copy of one output on the host, shape (view, height, width) or (view, height, width, components).
+
+        Any thread may call it; `frame[name].numpy()`, Warp's own, is not for several threads on CUDA (`turns.py`).
+        """
+        from .turns import host_copy
+
+        return host_copy(self[name])
 
     def copy(self) -> Frame:
         """Return a frame of its own memory, which stays valid."""

@@ -31,6 +31,7 @@ from .scene import Scene
 from .selection import check_passes, with_passes
 from .settings import Settings
 from .shadow_slots import ShadowTable, plan_slots
+from .turns import in_turn
 from .views import MAX_SIZE, ViewSize
 
 __all__ = ["Renderer"]
@@ -128,6 +129,7 @@ class Renderer:
         """The plan of the last frame: passes, buffers and program, to look at and to time; None before the first."""
         return self._plan
 
+    @in_turn
     def prepare(
         self,
         progress: Callable[[str, int, int], None] | None = None,
@@ -147,6 +149,7 @@ class Renderer:
             self._watch(cameras, None)
         self._look_up(cameras, progress)
 
+    @in_turn
     def render(self, camera: Camera | Sequence[Camera] | None = None, *, poses: Any = None) -> Frame:
         """Render one frame.
 
@@ -305,7 +308,7 @@ class Renderer:
             sizes=(size,) * len(cameras),
             settings=self.settings,
             features=self._features,
-            **self._capacities([c.world for c in cameras]),
+            **self._device_scene.capacities([c.world for c in cameras]),
             scene_key=self._scene_key,
             threads=self.threads,
             share_memory=self._share_memory,
@@ -318,20 +321,9 @@ class Renderer:
         worlds = [c.world for c in cameras]
         table = plan_slots(self.scene.lights, worlds, request.settings.shadow)
         sizes = [ViewSize(slot.size, slot.size, depth_only=True) for slot in table.slots]
-        capacities = self._capacities(worlds + [slot.world for slot in table.slots])
+        capacities = self._device_scene.capacities(worlds + [slot.world for slot in table.slots])
         sizes = (*request.sizes, *sizes)
         return dataclasses.replace(request, sizes=sizes, shadow_slots=len(table.slots), **capacities), table
-
-    def _capacities(self, worlds: Sequence[int]) -> dict[str, int]:
-        """How much views of these worlds may see."""
-        scene = self._device_scene
-        ranges = [scene.view_range(w) for w in worlds]
-        return {
-            "pairs": _capacity(sum(r[0] + r[2] for r in ranges), scene.instance_count),
-            "candidates": _capacity(sum(r[3] + r[5] for r in ranges), scene.cluster_slots),
-            "instances_per_view": _capacity(max(r[0] + r[2] for r in ranges), scene.instance_count),
-            "clusters_per_view": _capacity(max(r[3] + r[5] for r in ranges), scene.cluster_slots),
-        }
 
     def _build(self, request: Request, progress: Callable[[str, int, int], None] | None) -> Plan:
         key = (request.features.light_capacity, request.cameras)
@@ -371,6 +363,7 @@ class Renderer:
             offset += r[0] + r[2]
         return result
 
+    @in_turn
     def explain(self, *, measure: bool = True, views: int = 1) -> Explanation:
         """Tell for each pass whether it runs, why, at which rung, and what it costs.
 
@@ -391,10 +384,3 @@ class Renderer:
         if self._plan is None:
             self.prepare()
         return MemoryReport.of(self._plan, self._device_scene)
-
-
-def _capacity(count: int, whole: int) -> int:
-    """Exact for a view of everything, else the next power of two, so that moving between worlds keeps the plan."""
-    if count <= 0:
-        return 0
-    return count if count % max(whole, 1) == 0 else 1 << (count - 1).bit_length()
