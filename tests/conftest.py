@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import platform
 import random
 from collections.abc import Iterator
 from pathlib import Path
@@ -78,15 +77,6 @@ def cuda_device(request: pytest.FixtureRequest) -> str:
     """The CUDA device, for tests that compare it with the CPU; mark such tests `gpu`."""
     _cuda(request.config)
     return "cuda:0"
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _machine(record_testsuite_property) -> None:
-    """Write what the tests ran on into the file of --junitxml; stability_page.py reads it."""
-    record_testsuite_property("warp", wp.config.version)
-    record_testsuite_property("device.cpu", f"{platform.machine()} CPU")
-    if wp.is_cuda_available():
-        record_testsuite_property("device.cuda", wp.get_device("cuda:0").name)
 
 
 @pytest.fixture(autouse=True)

@@ -117,7 +117,7 @@ def take_in(files: Iterable[Path]) -> None:
         if not suites:
             raise ValueError(f"{file}: expected a file that pytest --junitxml wrote, got one without a test suite")
         for suite in suites:
-            on = {p.get("name"): p.get("value") for p in suite.findall("properties/property")}
+            on = {p.get("name"): p.get("value") for p in suite.iter("property")}
             counts = _counts(suite, known)
             for device in DEVICES:
                 new = {key: count for (key, d), count in counts.items() if d == device and sum(count)}

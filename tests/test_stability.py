@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import platform
 
 import pytest
 import stability_page
+import warp as wp
 from mutations import Mutation, mutations, try_mutation
 from stability_page import ROOT, Proof, main, proofs, row_ids, rows
 
@@ -32,6 +34,8 @@ JUNIT = """<testsuites><testsuite>
 <testcase classname="tests.passes.test_x" name="test_r3_x[cpu-1]"/>
 <testcase classname="tests.passes.test_x" name="test_r3_x[cpu-2]"><failure/></testcase>
 <testcase classname="tests.passes.test_x" name="test_r3_x[cuda:0-1]"><skipped/></testcase>
+<testcase classname="tests.test_y" name="test_y"><properties><property name="device.cuda" value="a GPU"/></properties>
+</testcase>
 <testcase classname="tests.passes.test_x" name="test_e9_y"><skipped/></testcase>
 <testcase classname="tests.passes.test_x" name="test_other[cpu]"/>
 </testsuite></testsuites>"""
@@ -53,8 +57,17 @@ def test_results_are_taken_in_and_failures_show(tmp_path, monkeypatch):
     (tmp_path / "run.xml").write_text(JUNIT.replace("cpu-", "cuda:0-").replace("<skipped/>", ""))
     assert main(["--results", str(tmp_path / "run.xml")]) == 0
     text = (tmp_path / "PAGE").read_text()
-    assert "| 1 passed, **1 failed** | 2 passed, **1 failed** |" in text
+    assert "| 1 passed, **1 failed** | 2 passed, **1 failed** |" in text and "- CUDA: a GPU, Warp 9.9" in text
     assert next(line for line in text.splitlines() if line.startswith("| E9 |")).count("| - | 1 passed |") == 1
+
+
+def test_the_record_says_where_it_ran(device, record_property):
+    # A property of a test, not of the suite: with several processes pytest keeps only these.
+    chosen = wp.get_device(device)
+    name = f"{platform.machine()} CPU" if chosen.is_cpu else chosen.name
+    record_property("warp", wp.config.version)
+    record_property("device.cpu" if chosen.is_cpu else "device.cuda", name)
+    assert name and wp.config.version
 
 
 def test_every_row_of_the_table_has_a_mutation_that_still_applies():
