@@ -241,6 +241,12 @@ def host(
 
 
 @app.command()
+def guards(device: Device = "cuda:0", json: Json = None, quick: Quick = False, set_: Sets = None) -> None:
+    """What the tests and clamps against bad input, which are always on, cost a frame."""
+    _bench("guards", device, json, None, quick, set_)
+
+
+@app.command()
 def peers(
     device: Device = "cuda:0",
     json: Json = None,

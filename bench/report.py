@@ -77,6 +77,11 @@ SECTIONS = {
         "counts as possible where its median keeps the budget; a fit's choice must keep it in 19 of 20 frames of a "
         "time interval it did not see.",
     ),
+    "guards": (
+        "Guards",
+        "Frames with the tests and clamps against bad input that are always on, and of a copy of the package without "
+        "them, in processes that take turns: medians of the turns, and their range.",
+    ),
     "host": (
         "Host time",
         "What a call of `render` costs the thread that makes it: no figure waits for the device inside the clock, and "
@@ -85,7 +90,7 @@ SECTIONS = {
     ),
 }
 #: Benches whose tables say it all.
-PLOTLESS = ("presets", "fit")
+PLOTLESS = ("presets", "fit", "guards")
 INTRODUCTION = """# Benchmarks
 
 Written by `python -m bench report` from `bench/results/*.json`; do not edit. The cases are frozen in `bench/cases.py`;

@@ -12,7 +12,7 @@ from .layout import count_text, markdown, megabytes, milliseconds, spread, verdi
 from .peer_tables import peers_overview, peers_table
 from .record import Record
 from .scaling_tables import scaling_overview, scaling_table
-from .targets import FRAME_TARGETS, HOST_TARGET_US, LIGHT_TARGETS_MS, TRIANGLE_QUOTES
+from .targets import FRAME_TARGETS, GUARD_TARGET_PERCENT, HOST_TARGET_US, LIGHT_TARGETS_MS, TRIANGLE_QUOTES
 
 __all__ = ["frames_table", "full_table", "milliseconds", "provenance", "short_table"]
 
@@ -165,6 +165,29 @@ def _host(record: Record) -> str:
     return markdown(["figure", ">median µs", ">5 % to 95 %", ">must reach"], rows)
 
 
+def _guards(record: Record) -> str:
+    columns = [
+        "frame",
+        ">with guards, ms",
+        ">range",
+        ">without",
+        ">range",
+        ">guards cost",
+        ">must reach",
+        ">bytes differ",
+    ]
+    lines = []
+    for row in record["rows"]:
+        line = [row["title"]]
+        for kind in ("guarded", "bare"):
+            low, high = milliseconds(row[f"{kind}.ms_least"]), milliseconds(row[f"{kind}.ms_most"])
+            line += [milliseconds(row[f"{kind}.ms"]), f"{low} to {high}"]
+        cost = row["guards.percent"]
+        line += [f"**{cost:+.1f} %**", verdict(record, cost, GUARD_TARGET_PERCENT), count_text(row["differing_bytes"])]
+        lines.append(line)
+    return f"{markdown(columns, lines)}\n\nTaken out: {'; '.join(record['guards'])}."
+
+
 def _effects(record: Record) -> str:
     frames = [row for row in record["rows"] if row["kind"] == "frame"]
     return "\n\n".join([effects_table(record)] + [_frame(record | {"rows": frames})] * bool(frames))
@@ -173,7 +196,7 @@ def _effects(record: Record) -> str:
 _FULL = {
     "triangles": _triangles, "tiles": _tiles, "lights": _lights, "frame": _frame, "host": _host, "effects": _effects,
     "accuracy": accuracy_table, "peers": peers_table, "scaling": scaling_table,
-    "fit": fit_table, "presets": presets_table,
+    "fit": fit_table, "presets": presets_table, "guards": _guards,
 }  # fmt: skip
 _SHORT = {
     "triangles": lambda record: _triangles(record, full=False),

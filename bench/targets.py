@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 
 __all__ = [
-    "EFFECT_TARGETS_MS", "FRAME_TARGETS", "HOST_TARGET_US", "LIGHT_TARGETS_MS", "PEER_TARGETS", "SKIPPED_TARGET_MS",
-    "TRIANGLE_QUOTES", "FrameTarget", "TriangleQuote",
+    "EFFECT_TARGETS_MS", "FRAME_TARGETS", "GUARD_TARGET_PERCENT", "HOST_TARGET_US", "LIGHT_TARGETS_MS", "PEER_TARGETS",
+    "SKIPPED_TARGET_MS", "TRIANGLE_QUOTES", "FrameTarget", "TriangleQuote",
 ]  # fmt: skip
 
 
@@ -47,6 +47,8 @@ TRIANGLE_QUOTES = {
 LIGHT_TARGETS_MS = {(1000, 5): 0.22, (10_000, 5): 0.5}
 #: Host time of one `render` with a new camera [µs].
 HOST_TARGET_US = 80.0
+#: What guards against bad input may add to a frame [%].
+GUARD_TARGET_PERCENT = 3.0
 
 
 @dataclasses.dataclass(frozen=True)

@@ -27,6 +27,7 @@ TABLE, RESULTS, PAGE = (
     ROOT / "docs/stability.md",
 )
 MUTATIONS = ROOT / "tests/mutations.toml"
+GUARDS = ROOT / "bench/results/guards.json"
 DEVICES = ("cpu", "cuda")
 #: Ids at the beginning of a test's name.
 IDS = re.compile(r"test_((?:[a-z]\d+_)+)")
@@ -192,7 +193,7 @@ def page() -> str:
             links = "<br>".join(f"[`{p.name}`](../tests/{p.path})" for p in mine)
             outcome = " | ".join(_result(mine, d, stored) for d in DEVICES)
             lines.append(f"| {row.id} | {_cell(row.case)} | {_cell(row.expected)} | {outcome} | {links} |")
-    return "\n".join(lines + _mutations(stored)) + "\n"
+    return "\n".join(lines + _mutations(stored) + _sanitizer(stored) + _guards()) + "\n"
 
 
 def _mutations(stored: dict) -> list[str]:
@@ -214,6 +215,42 @@ def _mutations(stored: dict) -> list[str]:
     return lines
 
 
+def _sanitizer(stored: dict) -> list[str]:
+    """The section on compute-sanitizer; nothing while it has not run."""
+    if "sanitizer" not in stored:
+        return []
+    run = stored["sanitizer"]
+    left = "; ".join(f"`{path}` ({why})" for path, why in run["left_out"].items())
+    lines = ["", "## compute-sanitizer", ""]
+    lines.append(
+        f"`python -m tests.sanitize` on {run['device']}, Warp {run['warp']}, {run['date']}, commit {run['commit']}: "
+        f"the tests that are marked `gpu`, but for {left}."
+    )
+    lines += ["", "| tool | looks for | found | tests passed | failed |", "|---|---|---|---|---|"]
+    for tool, o in run["tools"].items():
+        found = str(o["found"]) if o["finished"] else f"{o['found']}, **not finished**"
+        lines.append(f"| {tool} | {o['looks_for']} | {found} | {o['passed']} | {o['failed']} |")
+    kinds = [f"- {tool}: {_cell(kind)}" for tool, o in run["tools"].items() for kind in o["kinds"]]
+    return lines + [""] * bool(kinds) + kinds
+
+
+def _guards() -> list[str]:
+    """The section on what guards cost; nothing where it was not measured."""
+    if not GUARDS.exists():
+        return []
+    run = json.loads(GUARDS.read_text())
+    lines = ["", "## What the guards cost", ""]
+    lines.append(
+        "Tests and clamps against bad input are always on. `python -m bench guards` renders the same frames with them "
+        f"and with a copy of the package that has none, in turns; on {run['device']}, commit {run['commit']}:"
+    )
+    lines += ["", "| frame | with | without | cost | bytes of the picture that differ |", "|---|---|---|---|---|"]
+    for row in run["rows"]:
+        times = f"{row['guarded.ms']:.4f} ms | {row['bare.ms']:.4f} ms"
+        lines.append(f"| {row['title']} | {times} | {row['guards.percent']:+.1f} % | {row['differing_bytes']:,} |")
+    return lines
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Take results in, write or check the page, and return the exit code."""
     parser = argparse.ArgumentParser(
@@ -221,9 +258,12 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--results", nargs="+", type=Path, default=[], help="JUnit files of pytest to take in first")
     parser.add_argument("--check", action="store_true", help="write nothing; fail where the page is not up to date")
+    parser.add_argument("--sanitizer", type=Path, help="outcomes that python -m tests.sanitize --json wrote")
     options = parser.parse_args(arguments)
     if options.results:
         take_in(options.results)
+    if options.sanitizer:
+        write_results(results() | {"sanitizer": json.loads(options.sanitizer.read_text())})
     text = page()
     if not options.check:
         PAGE.write_text(text)

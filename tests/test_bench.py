@@ -1,15 +1,17 @@
 """The benches' cases, clocks and probes. No figure is judged here: times belong to the machine."""
 
+import ast
 import importlib.util
+import shutil
 
 import bench_package
 import numpy as np
 import pytest
 import warp as wp
 
-from bench import cases, preview, probe, targets, timing
+from bench import cases, guards, preview, probe, tables, targets, timing
 from warp_deferred import PointLight, Renderer, Settings
-from warp_deferred.errors import InputError
+from warp_deferred.errors import Error, InputError
 
 SHARED = bench_package.ROOT.parent / "shared" / "cases" / "triangles.py"
 
@@ -213,3 +215,41 @@ def test_preview_colours_ids_apart_and_the_background_black():
     assert picture.shape == (10, 100, 4) and picture[0, 0].tolist() == [0, 0, 0, 255]
     colors = picture.reshape(-1, 4)[1:, :3]
     assert colors.min() >= 48 and len(np.unique(colors, axis=0)) > 990
+
+
+# ---- guards
+
+
+def test_every_guard_is_in_the_kernels_and_comes_out(tmp_path):
+    shutil.copytree(bench_package.ROOT / "kernels", tmp_path / "kernels")
+    guards.without_guards(tmp_path / "kernels")
+    for name in {guard.file for guard in guards.GUARDS}:
+        text = (tmp_path / "kernels" / name).read_text()
+        ast.parse(text)
+        assert text != (bench_package.ROOT / "kernels" / name).read_text()
+    with pytest.raises(Error, match=r"guard of kernels/clusters.py: expected .* once, got it 0 times; adapt it"):
+        guards.without_guards(tmp_path / "kernels")
+
+
+def test_guards_are_timed_in_copies_that_take_turns(monkeypatch):
+    places, settings = [], Settings()
+
+    def render(folder, device, quick, given):
+        assert given is settings and (folder / "warp_deferred/kernels/image.py").is_file()
+        text = (folder / "warp_deferred/kernels/image.py").read_text()
+        bare = folder.name == "bare"
+        assert bare != any(guard.line in text for guard in guards.GUARDS if guard.file == "image.py")
+        places.append(folder.name)
+        (folder / "x.bytes").write_bytes(bytes([1, 2, 3 + bare]))
+        times = {"guarded": [1.1, 1.0, 1.2], "bare": [1.0, 1.1, 0.9]}[folder.name]
+        about = {"case": "x", "title": "a frame", "width": 1, "height": 1, "picture": str(folder / "x.bytes")}
+        return [about | {"ms": times[places.count(folder.name) - 1]}]
+
+    monkeypatch.setattr(guards, "_render", render)
+    found = guards.run(wp.get_device("cpu"), quick=False, settings=settings, note=lambda text: None)
+    assert places == ["guarded", "bare"] * 3
+    (row,) = found["rows"]
+    assert (row["guarded.ms"], row["bare.ms"], row["bare.ms_least"], row["bare.ms_most"]) == (1.1, 1.0, 0.9, 1.1)
+    assert row["guards.percent"] == 10.0 and row["differing_bytes"] == 1
+    text = tables.full_table(found | {"bench": "guards", "device": "CPU, 2 cores", "quick": False})
+    assert "**+10.0 %**" in text and "≤ 3 ✗" in text

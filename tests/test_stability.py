@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import platform
 
 import pytest
 import stability_page
 import warp as wp
 from mutations import Mutation, mutations, try_mutation
+from sanitize import Outcome, read_logs, read_tests
 from stability_page import ROOT, Proof, main, proofs, row_ids, rows
 
 
@@ -59,6 +61,31 @@ def test_results_are_taken_in_and_failures_show(tmp_path, monkeypatch):
     text = (tmp_path / "PAGE").read_text()
     assert "| 1 passed, **1 failed** | 2 passed, **1 failed** |" in text and "- CUDA: a GPU, Warp 9.9" in text
     assert next(line for line in text.splitlines() if line.startswith("| E9 |")).count("| - | 1 passed |") == 1
+
+
+def test_what_a_sanitizer_and_the_guards_said_shows(tmp_path, monkeypatch):
+    log = "========= COMPUTE-SANITIZER\n========= Invalid __global__ read of size 4 bytes\n=========     at x\n"
+    (tmp_path / "1.log").write_text(f"{log}========= ERROR SUMMARY: 2 errors\n")
+    (tmp_path / "2.log").write_text("========= RACECHECK SUMMARY: 1 hazard displayed (1 error, 0 warnings)\n")
+    (tmp_path / "3.log").write_text("")
+    assert read_logs(tmp_path) == (3, 2, ("Invalid __global__ read of size 4 bytes",))
+    (tmp_path / "run.xml").write_text(JUNIT)
+    assert read_tests(tmp_path / "run.xml") == (3, 1) and read_tests(tmp_path / "none.xml") == (0, 0)
+    good = Outcome("memcheck", 0, 3, 5, 0, True, 1.0, ())
+    assert good.clean
+    for bad in ({"found": 1}, {"failed": 1}, {"passed": 0}, {"processes": 0}, {"finished": False}):
+        assert not dataclasses.replace(good, **bad).clean
+    tools = {"memcheck": dataclasses.asdict(dataclasses.replace(good, found=7, kinds=("a | b",))) | {"looks_for": "x"}}
+    head = {"device": "a GPU", "warp": "9.9", "date": "today", "commit": "c", "left_out": {"f.py": "slow"}}
+    (tmp_path / "run.json").write_text(json.dumps(head | {"tools": tools}))
+    row = {"title": "a frame", "guarded.ms": 1.01, "bare.ms": 1.0, "guards.percent": 1.0, "differing_bytes": 0}
+    (tmp_path / "GUARDS").write_text(json.dumps({"device": "a GPU", "commit": "c", "rows": [row]}))
+    for name in ("RESULTS", "PAGE", "GUARDS"):
+        monkeypatch.setattr(stability_page, name, tmp_path / name)
+    assert main(["--sanitizer", str(tmp_path / "run.json")]) == 0
+    text = (tmp_path / "PAGE").read_text()
+    assert "| memcheck | x | 7 | 5 | 0 |" in text and "- memcheck: a \\| b" in text and "`f.py` (slow)" in text
+    assert "| a frame | 1.0100 ms | 1.0000 ms | +1.0 % | 0 |" in text
 
 
 def test_the_record_says_where_it_ran(device, record_property):
