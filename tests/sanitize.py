@@ -3,8 +3,9 @@
 Run from the repository's root on a machine with a GPU and CUDA's toolkit:
 `python -m tests.sanitize [--tools memcheck racecheck initcheck] [--processes 5] [--timeout 600] [--json OUT.json]`.
 The tools run side by side, each over all tests marked `gpu` but those of LEFT_OUT, in several processes where
-pytest-xdist is installed. Run the tests once before, so that kernels are compiled. Prints what each tool found; exit code 1 if one
-found anything, a test failed, or time ran out. `python -m tests.stability_page --sanitizer OUT.json` records it.
+pytest-xdist is installed. Run the tests once before, so that kernels are compiled. Prints what each tool found; exit
+code 1 if one found anything, a test failed, or time ran out. `python -m tests.stability_page --sanitizer OUT.json`
+records it.
 """
 
 from __future__ import annotations
