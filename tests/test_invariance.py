@@ -5,6 +5,7 @@ import pytest
 from builders import FULL, LAYERS, assert_same, box, gallery, grid, images, room, sphere, tilt
 
 import warp_deferred as wd
+from warp_deferred.program import Program
 
 LIT = ("color", "diffuse", "specular", "light_count", "depth", "instance_id", "triangle_id")
 
@@ -203,6 +204,24 @@ def test_p3_bins_of_any_capacity_draw_the_same(device):
     for entries, large in BINS:
         changes = ("raster.bins=on", f"raster.bin_capacity={entries}", f"raster.large_capacity={large}")
         assert_same(plain, render(scene, *changes, outputs=names, device=device))
+
+
+def test_p3_blocks_of_another_size_change_nothing(cuda_device, monkeypatch):
+    scene, seen, plain = crowded(), [], Program.launch
+    expected = render(scene, outputs=LAYERS, device=cuda_device)
+    # Kernels whose lanes work alone, so that their blocks may have any size that their bounds allow.
+    alone = {"resolve_kernel", "shade_kernel", "display_kernel"}
+
+    def launch(self, kernel, dim, inputs, outputs, *, block_dim, **fields):
+        if (name := kernel.key.split("__")[-1]) in alone:
+            seen.append(name)
+            block_dim = 32
+        plain(self, kernel, dim, inputs, outputs, block_dim=block_dim, **fields)
+
+    monkeypatch.setattr(Program, "launch", launch)
+    found = render(scene, outputs=LAYERS, device=cuda_device)
+    assert set(seen) == alone
+    assert_same(expected, found)
 
 
 def test_p3_host_threads_change_nothing():

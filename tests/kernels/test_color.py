@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import reference
 import warp as wp
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from warp_deferred.kernels.color import (
     CURVES,
     clamp_radiance,
@@ -148,3 +150,17 @@ def test_p12_codes_come_back(device):
     linear = reference.srgb_decode(np.arange(256) / 255.0)
     assert np.array_equal(srgb_linear(), linear.astype(np.float32))
     assert np.array_equal(codes(linear, device), np.arange(256))
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 2**32 - 1), power=st.integers(-40, 8))
+def test_p12_any_value_keeps_its_code(seed, power, device):
+    # Encoded, decoded and encoded again is encoded: of any value, of any float at all, and around each code's own.
+    rng = np.random.default_rng(seed)
+    values = np.concatenate([
+        rng.uniform(-0.1, 1.1, 500).astype(np.float32) * np.float32(2.0) ** np.float32(power),
+        rng.integers(0, 2**32, 500, np.uint32).view(np.float32),
+        np.nextafter(srgb_linear(), rng.choice([0.0, 2.0], 256).astype(np.float32)),
+    ])  # fmt: skip
+    once = codes(values, device)
+    assert np.array_equal(codes(srgb_linear()[once], device), once)
