@@ -197,6 +197,36 @@ def test_more_than_two_conditions_are_refused(device):
         renderer.render()
 
 
+class Leaver(Switched):
+    """One whose kernels would look at the switch themselves."""
+
+    leaves_early = True
+
+
+@pytest.mark.parametrize("image, fits", [("rewrite", True), ("turn", False)])
+def test_conditions_that_kernels_look_at_themselves_do_not_count(device, image, fits):
+    switch = wp.zeros(1, dtype=wp.int32, device=device)
+    leavers = [Leaver(switch, name=n, image=image) for n in ("one", "two", "three")]
+    renderer = renderer_of(device, passes=leavers)
+    if not fits:
+        # A pass that turns the image needs a copy in its place.
+        with pytest.raises(wd.Error, match=r"three\.active: expected at most 2 passes"):
+            renderer.render()
+        return
+    renderer.render()
+    sections = {section.name: section for section in renderer.plan.resources.program.sections}
+    assert all(sections[stage.name].leaves_early for stage in leavers)
+
+
+def test_a_copy_stands_in_for_a_pass_that_leaves_early_and_turns_the_image(device):
+    switch = wp.zeros(1, dtype=wp.int32, device=device)
+    plain, scaled = (images(renderer_of(device, passes=p).render()) for p in ([], [Scale(3.0)]))
+    renderer = renderer_of(device, passes=[Leaver(switch, image="turn")])
+    assert_same(images(renderer.render()), plain)
+    switch.fill_(1)
+    assert_same(images(renderer.render()), scaled)
+
+
 # ---- parts of a frame
 
 

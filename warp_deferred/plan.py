@@ -126,7 +126,8 @@ class Plan:
         if condition is not None and stage.image == "turn":
             target, source = resources.channels[stage.target], resources.channels[stage.source]
             otherwise = functools.partial(wp.copy, target, source)
-        resources.program.begin(stage.name, part, condition, otherwise, beside, stage.leaves_early)
+        early = stage.leaves_early and otherwise is None
+        resources.program.begin(stage.name, part, condition, otherwise, beside, early)
         stage.run(resources)
         if self.finite_check is not None:
             self.finite_check.add(stage)

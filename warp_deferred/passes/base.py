@@ -142,7 +142,8 @@ class Pass(abc.ABC):
     #: What the device array of `active` says, in words: "some pixel exceeds the threshold".
     active_if: ClassVar[str] = ""
     #: Whether its kernels look at the array of `active` themselves and leave at once while it is 0: its launches then
-    #: take no conditional node of the graph, which costs as much as some four launches that leave.
+    #: take no conditional node of the graph, which costs as much as some four launches that leave. Without effect on a
+    #: pass that turns the image, for which a copy stands in while it is skipped.
     leaves_early: bool = False
 
     request: Request
