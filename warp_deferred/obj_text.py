@@ -218,7 +218,7 @@ class ObjText:
                 positions = self._positions() if positions is None else positions
                 cut = triangulate_polygon(positions[corners[start:end, 0] - 1])
                 face = words[start:end]
-                self._lines[place] = "\n".join(f"f {face[a]} {face[b]} {face[c]}" for a, b, c in cut)
+                self._lines[place] = "\n".join(f"f {face[a]} {face[b]} {face[c]}" for a, b, c in cut.tolist())
             start = end
         if dropped:
             plural = "face" if dropped == 1 else "faces"

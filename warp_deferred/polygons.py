@@ -13,7 +13,7 @@ MAX_CONCAVE_CORNERS = 2000
 TESTS_PER_CORNER = 4
 
 
-def triangulate_polygon(points: np.ndarray) -> list[tuple[int, int, int]]:
+def triangulate_polygon(points: np.ndarray) -> np.ndarray:
     """Cut a polygon into triangles between its own corners, turning the same way.
 
     Convex polygons become a fan from the first corner. Others are cut by ear clipping in the plane of their area
@@ -24,12 +24,13 @@ def triangulate_polygon(points: np.ndarray) -> list[tuple[int, int, int]]:
         points: (k, 3) corners in order, k >= 3; nearly flat.
 
     Returns:
-        k - 2 triples of corner numbers. A polygon that crosses itself or has no area gives some fan.
+        Corner numbers (k - 2, 3) int64. A polygon that crosses itself or has no area gives some fan.
     """
     count = len(points)
     if count == 4:
-        return _split_quad(points.tolist())
-    fan = [(0, i, i + 1) for i in range(1, count - 1)]
+        return np.array(_split_quad(points.tolist()))
+    fan = np.arange(count - 2)[:, None] + (0, 1, 2)
+    fan[:, 0] = 0
     if count == 3 or not np.isfinite(points).all():
         return fan
     offset = points - points[0]
@@ -42,10 +43,12 @@ def triangulate_polygon(points: np.ndarray) -> list[tuple[int, int, int]]:
     incoming, outgoing = flat - np.roll(flat, 1, axis=0), np.roll(flat, -1, axis=0) - flat
     turns = incoming[:, 0] * outgoing[:, 1] - incoming[:, 1] * outgoing[:, 0]
     # All turns left and one full turn in all: convex. A star turns left everywhere too, but more than once.
-    wedges = [_turn(flat[0], flat[i], flat[i + 1]) for i in range(1, count - 1)]
-    if count > MAX_CONCAVE_CORNERS or (turns.min() >= 0.0 and min(wedges) >= 0.0 and _fan_keeps_corners(wedges)):
+    spokes = flat[1:] - flat[0]
+    wedges = spokes[:-1, 0] * spokes[1:, 1] - spokes[:-1, 1] * spokes[1:, 0]
+    # A flat triangle of the fan would leave its middle corner on another's edge.
+    if count > MAX_CONCAVE_CORNERS or (turns.min() >= 0.0 and wedges.min() > 0.0):
         return fan
-    return _clip_ears(flat)
+    return np.array(_clip_ears(flat))
 
 
 def _split_quad(points: list[list[float]]) -> list[tuple[int, int, int]]:
@@ -65,16 +68,6 @@ def _split_quad(points: list[list[float]]) -> list[tuple[int, int, int]]:
     first = area(bx - ax, by - ay, bz - az, px, py, pz), area(px, py, pz, dx - ax, dy - ay, dz - az)
     second = area(cx - bx, cy - by, cz - bz, qx, qy, qz), area(qx, qy, qz, ax - bx, ay - by, az - bz)
     return [(1, 2, 3), (1, 3, 0)] if min(second) > 0.0 >= min(first) else [(0, 1, 2), (0, 2, 3)]
-
-
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Return twice the signed area of a, b, c."""
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-
-def _fan_keeps_corners(wedges: list[float]) -> bool:
-    """Tell whether no triangle of the fan is flat: a flat one would leave its middle corner on another's edge."""
-    return all(w > 0.0 for w in wedges)
 
 
 def _clip_ears(flat: np.ndarray) -> list[tuple[int, int, int]]:
