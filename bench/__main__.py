@@ -171,10 +171,12 @@ def effects(
     plot: Plot = None,
     quick: Quick = False,
     set_: Sets = None,
-    only: Case = "",
+    only: Annotated[
+        str, typer.Option("--only", metavar="CASE", help="Run this case alone, such as bloom; frames: whole frames.")
+    ] = "",
 ) -> None:
     """What each rung of each effect costs and how far it is from its reference; frames with several effects."""
-    _check_case(only)
+    _check_case(only, "frames")
     _bench("effects", device, json, plot, quick, set_, only=only, keeps=True)
 
 
@@ -197,13 +199,13 @@ def accuracy(
     _bench("accuracy", device, json, plot, quick, set_, only=only, images=images, keeps=True)
 
 
-def _check_case(only: str) -> None:
+def _check_case(only: str, *more: str) -> None:
     from warp_deferred.checks import check_choice
 
     from .effect_cases import EFFECT_CASES
 
     if only:
-        check_choice("--only", only, list(EFFECT_CASES))
+        check_choice("--only", only, [*EFFECT_CASES, *more])
 
 
 @app.command(name="effects-images")

@@ -57,7 +57,7 @@ def run(
         quick: Small cases and few repeats; kernels are not compiled anew.
         settings: Settings of all cases, but for the rung at hand.
         note: Function of a text that tells how far it is.
-        only: Name of the one case to run; all of them if left out.
+        only: Name of the one case to run, or `frames` for the frames with several effects; all if left out.
         keep: Called with what is there after each case, so that nothing measured is lost.
 
     Returns:
@@ -96,7 +96,7 @@ def run(
             return [row | compiled.get((case.name, row.get("rung", "")), {}) for row in rows]
 
         add(case.name, measure)
-    for frame in composite_cases(device.is_cuda, quick=quick) if not only else ():
+    for frame in composite_cases(device.is_cuda, quick=quick) if only in ("", "frames") else ():
         add(frame.name, lambda frame=frame: _frame(frame, device, settings, bandwidth, repeats, note, skip))
     return result
 
