@@ -17,6 +17,9 @@ Only lighting reads codes (shade, the depth bounds of light tiles): one surface 
 miss no light. Outputs, and effects that look at a pixel's surroundings (ambient visibility, depth of field, motion
 blur), keep `float32`, stored beside it where they are called for. The output `depth` is public, and the same bits on
 every device. Ambient visibility compares neighbours: steps would be edges to it, and a plane would occlude itself.
+
+Shadow look-ups start where a code says that a point is, so they lift it by what that may be off its plane
+(`make_depth_slack`): else surfaces would shadow themselves, in stripes.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ import warp as wp
 from .encoding import pack_unorm, unpack_unorm
 from .intrinsics import bits_float, float_bits
 from .projection import linear_depth
-from .structs import GBuffer, View
+from .structs import ORTHOGRAPHIC, GBuffer, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -38,6 +41,8 @@ DEPTH_CODECS: dict[str, type] = {
 }  # fmt: skip
 #: Code 65535 of ufloat16 is z = 1, whose upper 20 bits are 0x3F800.
 UFLOAT_BASE = 0x3F800 - 0xFFFF
+#: Sine that a quantised normal may be off: 1.2 degrees.
+SINE = wp.constant(0.02)
 
 
 @functools.cache
@@ -79,6 +84,29 @@ def make_depth_codec(name: str):
     else:
         raise ValueError(f"make_depth_codec: expected a format of codes, got {name!r}")
     return encode, decode
+
+
+@functools.cache
+def make_depth_slack(name: str):
+    """Function that bounds how far off its plane a point may be for its depth's format [m].
+
+    A depth that is off by e moves the point by e / depth of its way from the eye, and off the plane by that times the
+    cosine; SINE more for what the normal is off. unorm is off by d^2 / (2 L near), with a tenth added for the square of
+    a depth that is itself decoded, which suffices up to a tenth of 2 L near planes.
+    """
+    small = name == "ufloat16"
+    step = 2.0**-12 if small else 0.55 / (2.0 ** int(name.removeprefix("unorm")) - 1.0)
+
+    @wp.func
+    def depth_slack(view: View, point: wp.vec3, normal: wp.vec3, depth: wp.float32):
+        if view.projection == ORTHOGRAPHIC:
+            return wp.static(step) * (view.far - view.near)
+        share = wp.float32(wp.static(step))
+        if wp.static(not small):
+            share *= depth / view.near
+        return share * (wp.abs(wp.dot(normal, point)) + SINE * wp.length(point))
+
+    return depth_slack
 
 
 @wp.func

@@ -153,11 +153,11 @@ def make_shade_kernel(
         from .shadow_rays import ShadowRays as Shadows
         from .shadow_rays import make_ray_factor
 
-        shadow_factor = make_ray_factor(*shadow[1:])
+        shadow_factor = make_ray_factor(*shadow[1:], depth_format)
     elif shadow is not None:
         from .shadow_lookup import make_shadow_factor
 
-        shadow_factor = make_shadow_factor(*shadow)
+        shadow_factor = make_shadow_factor(*shadow, depth_format)
 
     @wp.func
     def write(

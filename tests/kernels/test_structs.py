@@ -117,7 +117,7 @@ def asked_for(file):
     return [module.make_shade_kernel(*v) for v in module.VARIANTS if len(v) == 11] if file == "shade" else []
 
 
-def test_e9_lighting_fuses_only_where_a_setting_says_so():
+def test_lighting_fuses_only_where_a_setting_says_so():
     rounding = [kernel.module.options for kernel in asked_for("shade")]
     assert [(options["fuse_fp"], options["fast_math"]) for options in rounding] == [
         (True, False),
