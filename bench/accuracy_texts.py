@@ -30,9 +30,10 @@ EVERYWHERE = (
     "snapped to 1/256 px, top-left rule: `tests/test_hard_cases_raster.py`), which triangle is seen (nearest depth, "
     "ties to the smaller id), all ids, light masks (a light may be tested in vain, never missed), and every result "
     "against order: of triangles, of host threads, of atomics, of views in a batch (`tests/test_invariance.py`). "
-    "Modules are compiled without fused multiply-adds (lighting's only where `shade.arithmetic` asks for them), so that "
-    "`+ - * /` and square roots agree bit for bit between CPU and CUDA; `pow`, `exp` and `sin` may differ by 2 units in the last place, hardware texture filtering by about "
-    "1e-3 of the texels' contrast. Snapping itself moves a vertex by up to 1/512 px; attributes come from the "
+    "Modules are compiled without fused multiply-adds, but for lighting's where `shade.arithmetic` asks for them, so "
+    "that `+ - * /` and square roots agree bit for bit between CPU and CUDA; `pow`, `exp` and `sin` may differ by 2 "
+    "units in the last place, hardware texture filtering by about 1e-3 of the texels' contrast. Snapping itself moves "
+    "a vertex by up to 1/512 px; attributes come from the "
     "unsnapped ones."
 )
 
