@@ -188,11 +188,13 @@ class _Bench:
         }  # fmt: skip
 
     def _twin_rows(self, ladder: Ladder) -> list[Row]:
-        """Rows of a ladder against the float64 twin, which has no picture and no time worth telling."""
+        """Rows of a ladder against the float64 twin, which has no picture and no time worth telling.
+
+        Frames are timed as they are looked at, ids included: kernels of frames without ids would have to be compiled.
+        """
         shared, size = self.shared, twin_size(self.shared.quick)
         measure = MEASURES[ladder.measure]
-        seen = measure.output if measure.channel is None else "display"
-        renderer, timed = (self._renderer(outputs, size) for outputs in ((seen, *IDS), ("display",)))
+        renderer = self._renderer((measure.output if measure.channel is None else "display", *IDS), size)
         self.scene.settings = shared.at(ladder, ladder.rungs[0].name)
         # The twin knows neither codecs nor formats: what it sees is the same for every ladder.
         if size not in self.truths:
@@ -201,16 +203,15 @@ class _Bench:
         rows = []
         for rung in ladder.rungs:
             settings = shared.at(ladder, rung.name)
-            plan_of(renderer, settings)
+            plan = plan_of(renderer, settings)
             frame = renderer.render()
             # Meshes number their own triangles: both ids make one.
             same = np.logical_and.reduce([frame.numpy(name)[0] == truth[name] for name in IDS])
-            read = frame.numpy(measure.output)[0] if measure.channel is None else measure.channel(renderer.plan)
+            read = frame.numpy(measure.output)[0] if measure.channel is None else measure.channel(plan)
             own, true = read[same], truth[measure.output][same]
             row = _prefixed("stage", stage_errors(measure, own, true, None))
             row["pixels.other"] = round(float(1.0 - same.mean()), 6)
-            times = _times(plan_of(timed, settings), ladder, shared.repeats)
-            rows.append(self._head(ladder, size, rung.name) | row | times)
+            rows.append(self._head(ladder, size, rung.name) | row | _times(plan, ladder, shared.repeats))
         return rows
 
 
