@@ -136,7 +136,8 @@ def test_arithmetic_moves_lighting_by_roundings_and_nothing_else(arithmetic, dev
     other = render(gallery, device, f"shade.arithmetic={arithmetic}", outputs=outputs)
     builders.assert_same(plain, other, outputs[len(LIT) :])
     assert np.isfinite(other["color"]).all()
-    assert np.abs(other["color"] - plain["color"]).mean() < 1e-5 * dim(plain)
+    # A power of 60 makes of the fast logarithm's 2^-22 some 1e-5 of a highlight.
+    assert np.abs(other["color"] - plain["color"]).mean() < 1e-4 * dim(plain)
     if device == "cpu":
         # Warp hands fast_math to CUDA alone, and its CPU has no instruction that fuses.
         builders.assert_same(plain, other)
