@@ -60,7 +60,8 @@ WORDS: dict[str, Words] = {
         "look-ups lift a point by what this may be off its plane, so that planes do not shadow themselves at any "
         "format (`test_s1_a_lit_plane_does_not_shadow_itself`).",
         "The picture, with shadow maps on: a point that is lifted farther moves the edges of shadows by as much. What "
-        "the format saves is memory traffic, 2 bytes a pixel of 16 at 16 bits and none at 24.",
+        "the format saves is memory traffic, 2 bytes a pixel of 16 at 16 bits and none at 24; where ambient visibility "
+        "runs, as it does by default under ambient light, float32 is stored beside it and nothing is saved.",
     ),
     "arithmetic": Words(
         "Which lights are summed and in which order.",

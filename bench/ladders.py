@@ -181,7 +181,7 @@ def _casting(scene: Scene) -> None:
 def _precision() -> tuple[Ladder, ...]:
     """Ladders of how numbers are kept and rounded, all but those of one codec's bits."""
     depth, lighting = _rungs("gbuffer", "depth"), ("resolve", "light_culling", "shade")
-    shown = ("shadows", "spheres_50k", "hundred_lights", "many_lights")
+    shown, shadows = ("shadows", "spheres_50k", "hundred_lights", "many_lights"), ("shadow.rung=pcf",)
     sums, arithmetic = _rungs("shade", "accumulation"), _rungs("shade", "arithmetic")
     # What differs by roundings alone must not be rounded again on its way.
     held = ("gbuffer.rung=full", "shade.radiance=float32")
@@ -190,10 +190,9 @@ def _precision() -> tuple[Ladder, ...]:
         *(rung for rung in arithmetic if rung.name != "precise"), Rung("full", ()),
     )  # fmt: skip
     return (
-        Ladder("depth", "Depth as stored", depth, TWIN, shown, "relative_depth", lighting, twin=True),
         # Shadows are on: coarse depth lights surfaces from where they are not, which maps notice first.
-        Ladder("depth_format", "Depth formats", depth, "float32", shown, "relative_depth", lighting,
-               ("shadow.rung=pcf",)),
+        Ladder("depth", "Depth as stored", depth, TWIN, shown, "relative_depth", lighting, shadows, twin=True),
+        Ladder("depth_format", "Depth formats", depth, "float32", shown, "relative_depth", lighting, shadows),
         Ladder("arithmetic", "Float32 against the float64 twin", against, TWIN, ("corner", *_FOUR),
                "relative_radiance", ("resolve", "lights", "light_culling", "shade"), held, twin=True),
         Ladder("fast_math", "Fused and fast arithmetic", arithmetic, "precise", _FOUR, "stored_radiance", ("shade",),

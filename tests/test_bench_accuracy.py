@@ -357,4 +357,4 @@ def test_the_page_is_made_of_the_card_s_result_where_there_is_one(result):
 
 def test_a_ladder_needs_no_settings_of_its_own():
     ladder = Ladder("x", "X", (Rung("a", ()),), TWIN, ("corner",), "relative_depth", ("raster",), twin=True)
-    assert ladder.at("a") == LADDERS["depth"].at("float32") and not ladder.has_off
+    assert ladder.at("a") == LADDERS["normals"].at("oct24") and not ladder.has_off
