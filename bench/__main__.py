@@ -365,6 +365,20 @@ def compare(
         raise typer.Exit(1)
 
 
+@app.command()
+def merge(
+    files: Annotated[
+        list[str], typer.Argument(metavar="A.json B.json", help="Results of one bench, older ones first.")
+    ],
+    json: Annotated[str, typer.Option("--json", metavar="F", help="Write the joined result here; may be one of them.")],
+) -> None:
+    """Join results, such as those of --only: rows of later files take the place of those of the same name."""
+    from . import merge as bench
+    from . import record
+
+    typer.echo(f"wrote {record.write(json, bench.merge([record.read(name) for name in files], files))}")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a bench; errors of the package's kinds and usage errors become one line on stderr."""
     try:

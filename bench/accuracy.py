@@ -133,18 +133,23 @@ class _Bench:
         self.shared, self.name, self.source = shared, name, source
         self.scene: Scene | None = None
         self.renderers: dict[Any, Renderer] = {}
+        self.truths: dict[tuple[int, int], dict[str, np.ndarray]] = {}
 
     def climb(self, ladder: Ladder, skip: Note) -> list[Row]:
         """Rows of a ladder; the scene is as before afterwards, but for what has moved."""
         if self.scene is None:
             self.scene = SCENES[self.name].build(self.source)
         camera = self.scene.camera
+        casts = [(group, np.copy(group.casts_shadow)) for _, group in self.scene.lights.groups() if len(group)]
         if ladder.change is not None:
             ladder.change(self.scene)
         try:
             return self._twin_rows(ladder) if ladder.twin else self._rows(ladder, skip)
         finally:
             self.scene.camera = camera
+            for group, cast in casts:
+                if not np.array_equal(group.casts_shadow, cast):
+                    group.casts_shadow = cast
 
     def _renderer(self, outputs: tuple[str, ...], size: tuple[int, int], moving: bool = False) -> Renderer:
         key = (outputs, size, moving)
@@ -157,7 +162,7 @@ class _Bench:
         size = stand_size(self.shared.device.is_cuda, self.shared.quick)
         climb = _Climb(self.shared, ladder, self._renderer(("display",), size, ladder.moving), SCENES[self.name].step)
         output = MEASURES[ladder.measure].output
-        if output:
+        if output and MEASURES[ladder.measure].channel is None:
             climb.other = self._renderer((output,), size, ladder.moving)
         # The reference and the frame without first: without them nothing can be said of the others.
         names = [rung.name for rung in ladder.rungs]
@@ -183,24 +188,30 @@ class _Bench:
         }  # fmt: skip
 
     def _twin_rows(self, ladder: Ladder) -> list[Row]:
-        """Rows of a ladder against the float64 twin, which has no picture and no time worth telling."""
+        """Rows of a ladder against the float64 twin, which has no picture and no time worth telling.
+
+        Frames are timed as they are looked at, ids included: kernels of frames without ids would have to be compiled.
+        """
         shared, size = self.shared, twin_size(self.shared.quick)
         measure = MEASURES[ladder.measure]
-        renderer, timed = (self._renderer(outputs, size) for outputs in ((measure.output, *IDS), ("display",)))
+        renderer = self._renderer((measure.output if measure.channel is None else "display", *IDS), size)
         self.scene.settings = shared.at(ladder, ladder.rungs[0].name)
-        truth = twin_outputs(self.scene, size)
+        # The twin knows neither codecs nor formats: what it sees is the same for every ladder.
+        if size not in self.truths:
+            self.truths[size] = twin_outputs(self.scene, size)
+        truth = self.truths[size]
         rows = []
         for rung in ladder.rungs:
             settings = shared.at(ladder, rung.name)
-            plan_of(renderer, settings)
+            plan = plan_of(renderer, settings)
             frame = renderer.render()
             # Meshes number their own triangles: both ids make one.
             same = np.logical_and.reduce([frame.numpy(name)[0] == truth[name] for name in IDS])
-            own, true = frame.numpy(measure.output)[0][same], truth[measure.output][same]
+            read = frame.numpy(measure.output)[0] if measure.channel is None else measure.channel(plan)
+            own, true = read[same], truth[measure.output][same]
             row = _prefixed("stage", stage_errors(measure, own, true, None))
             row["pixels.other"] = round(float(1.0 - same.mean()), 6)
-            times = _times(plan_of(timed, settings), ladder, shared.repeats)
-            rows.append(self._head(ladder, size, rung.name) | row | times)
+            rows.append(self._head(ladder, size, rung.name) | row | _times(plan, ladder, shared.repeats))
         return rows
 
 

@@ -116,10 +116,15 @@ def _exact_figure(record: Record, ladder: str, colors: tuple[str, ...], title: s
 
 
 def overview_figure(record: Record, colors: tuple[str, ...], pale: str, title: str) -> Figure:
-    """Every ladder on the scene that shows it best: time against the error of the picture, the front as a line."""
+    """Every ladder on the scene that shows it best: time against the error of the picture, the front as a line.
+
+    A result of ladders without errors of pictures alone, as `--only` may leave, is drawn as its first ladder.
+    """
+    names = [name for name in ladder_names(record) if not LADDERS[name].exact and not LADDERS[name].twin]
+    if not names:
+        return ladder_figure(record, ladder_names(record)[0], colors, pale, title)
     figure = Figure(figsize=(8.6, 5.4))
     axes = figure.subplots()
-    names = [name for name in ladder_names(record) if not LADDERS[name].exact and not LADDERS[name].twin]
     labels: list[tuple[float, float, str, str]] = []
     lines = {name: _shown(rows_of(record, name, scenes_of(record, name)[0])) for name in names}
     everything = [row for rows in lines.values() for row in rows]
@@ -143,7 +148,7 @@ def overview_figure(record: Record, colors: tuple[str, ...], pale: str, title: s
              ylabel="RMSE of the picture: down is nearer to the reference")  # fmt: skip
     axes.set_ylim(bottom=floor / 1.5)
     axes.margins(x=0.08, y=0.1)
-    axes.set_ylim(top=3.0 * max(row["error.rmse"] for row in everything))
+    axes.set_ylim(top=3.0 * max(floor, *(row["error.rmse"] for row in everything)))
     _plain(axes.xaxis)
     for place, words, side in (((0.01, 0.98), "cheap and far off", "left"), ((0.99, 0.06), "dear and true", "right")):
         height = "top" if side == "left" else "bottom"

@@ -30,30 +30,67 @@ EVERYWHERE = (
     "snapped to 1/256 px, top-left rule: `tests/test_hard_cases_raster.py`), which triangle is seen (nearest depth, "
     "ties to the smaller id), all ids, light masks (a light may be tested in vain, never missed), and every result "
     "against order: of triangles, of host threads, of atomics, of views in a batch (`tests/test_invariance.py`). "
-    "Modules are compiled without fused multiply-adds, so that `+ - * /` and square roots agree bit for bit between "
-    "CPU and CUDA; `pow`, `exp` and `sin` may differ by 2 units in the last place, hardware texture filtering by about "
-    "1e-3 of the texels' contrast. Snapping itself moves a vertex by up to 1/512 px; attributes come from the "
+    "Modules are compiled without fused multiply-adds, but for lighting's where `shade.arithmetic` asks for them, so "
+    "that `+ - * /` and square roots agree bit for bit between CPU and CUDA; `pow`, `exp` and `sin` may differ by 2 "
+    "units in the last place, hardware texture filtering by about 1e-3 of the texels' contrast. Snapping itself moves "
+    "a vertex by up to 1/512 px; attributes come from the "
     "unsnapped ones."
 )
 
 WORDS: dict[str, Words] = {
     "depth": Words(
-        "Depth in the key, in the G-buffer and in the output is one float32 number.",
-        "Within a triangle depth is (e0 z0 + e1 z1 + e2 z2) / area from exact integer edge values and terms ≥ 0, so "
-        "that nothing cancels: three conversions, products, sums, the reciprocal, its product and the division that "
-        "makes metres of it are at most eight roundings of 2^-24 in sequence, 4.8e-7 of the depth. The vertices' own "
-        "depths carry the rounding of their transform, 2^-24 of their distance from the eye a step.",
+        "Depth in the key and in the output is one float32 number, whatever lighting reads; which triangle is seen is "
+        "decided by it. With `float32`, the default, it is the G-buffer's, too.",
+        "The coarser formats: as in the next ladder, whose bounds hold for these scenes as well. `float32`: within a "
+        "triangle depth is (e0 z0 + e1 z1 + e2 z2) / area from exact integer edge values and terms ≥ 0, so that "
+        "nothing cancels: three conversions, products, sums, the reciprocal, its product and the division that makes "
+        "metres of it are at most eight roundings of 2^-24 in sequence, 4.8e-7 of the depth. The vertices' own depths "
+        "carry the rounding of their transform, 2^-24 of their distance from the eye a step.",
         "A few whole triangles are off by more, up to about 1e-4: presumably float32 rounds one of their vertices to "
         "the neighbouring 1/256 px, which moves depth by its slope there. Where pixels show another triangle than the "
         "twin's, they are left out and counted: `pixels.other` in the JSON.",
+    ),
+    "depth_format": Words(
+        "The background, the near plane, and the order of depths: a nearer surface never comes back farther. Outputs, "
+        "and effects that look at depth themselves (ambient visibility, depth of field, motion blur). Light masks miss "
+        "no light: culling reads the codes that shading reads.",
+        "Of z = near / depth unorm keeps L = 2^16 - 1 or 2^24 - 1 steps: off by at most the share depth / (2 L near) "
+        "of the depth, and what is beyond 2 L near planes comes back at L of them. ufloat16 keeps 12 significant bits "
+        "of z: 2^-12 / (1 - 2^-12), 2.45e-4 of the depth, anywhere (`tests/kernels/test_depth_encoding.py`). Shadow "
+        "look-ups lift a point by what this may be off its plane, so that planes do not shadow themselves at any "
+        "format (`test_s1_a_lit_plane_does_not_shadow_itself`).",
+        "The picture, with shadow maps on: a point that is lifted farther moves the edges of shadows by as much. What "
+        "the format saves is memory traffic, 2 bytes a pixel of 16 at 16 bits and none at 24; where ambient visibility "
+        "runs, as it does by default under ambient light, float32 is stored beside it and nothing is saved.",
     ),
     "arithmetic": Words(
         "Which lights are summed and in which order.",
         "A closed form (a Lambertian plane under one light) is met within 1e-5 of the radiance, a white furnace within "
         "1e-6 (`tests/test_analytic.py`).",
         "The whole chain from vertices to radiance. At `full` what is left is float32 arithmetic and the snap of "
-        "vertices, through positions that are rebuilt from depth; at `compact` it is the 8-bit square roots of albedo. "
-        "Fused and fast arithmetic are no rungs of this version.",
+        "vertices, through positions that are rebuilt from depth; `fused`, `fast` and `half_sums` are `full` but for "
+        "that one thing; at `compact` it is the 8-bit square roots of albedo. In `hundred_lights` a lamp hangs 16 cm "
+        "off polished metal: a millimetre of depth moves its highlight, and one pixel carries nearly all of the error "
+        "at every rung.",
+    ),
+    "fast_math": Words(
+        "Everything but lighting: coverage, ids, depth, masks, all other passes; and which lights reach a pixel's "
+        "tile. Repeats on one device.",
+        "Nothing as a whole. A fused product and sum rounds once, not twice. Fast operations have bounds of their own: "
+        "division within 2 units in the last place, square roots within 3 (CUDA Programming Guide, mathematical "
+        "functions), but a power goes through a logarithm whose absolute error an exponent of thousands multiplies.",
+        "The radiance that comes of it. Warp hands fast arithmetic to CUDA alone, and its CPU compiler fused nothing "
+        "where it was tried: there the rungs are the same bits, and times differ by noise "
+        "(`tests/passes/test_precision.py`).",
+    ),
+    "accumulation": Words(
+        "Which lights are summed and in which order; a sum of `float32` is not rounded to half before the last light.",
+        "Light is never negative, so that every partial sum is at most the whole one, and each rounding moves it by at "
+        "most 2^-11 of that or, below 2^-14, by 2^-25: n lights that arrive, n times as much "
+        "(`test_half_sums_are_off_by_what_rounding_each_light_may_move`). A light of less than 2^-12 of the sum so far "
+        "is lost. Sums end at 65504.",
+        "The picture. Roundings of many lights mostly cancel. Sums stay in registers here, where halves save nothing; "
+        "a renderer that adds light by light into a render target halves the target's traffic.",
     ),
     "normals": Words(
         "A zero or non-finite normal is stored as +Z; the axes come back exactly from the octahedral codecs.",
@@ -95,9 +132,10 @@ WORDS: dict[str, Words] = {
         "A plane alone never shadows itself at any angle; a light that casts nothing changes no bit.",
         "As stated in the settings, quoted below. The edge of a shadow is off by at most k t sin a for texels of size "
         "t and an angle a between the normal and the map's axis (`kernels/shadow_lookup.py` derives it).",
-        "The mean over a picture: it depends on how much of it is penumbra. `pcf` widens every edge by texels and may "
-        "be farther from the truth than `hard` where texels are larger than penumbrae. `ray_traced` samples the "
-        "light's disc; its own standard error stands behind ± in the table.",
+        "The mean over a picture: it depends on how much of it is penumbra. In `corner` the light casts for this "
+        "ladder alone. `pcf` widens every edge by texels and may be farther from the truth than `hard` where texels "
+        "are larger than penumbrae. `ray_traced` samples the light's disc; its own standard error stands behind ± in "
+        "the table.",
     ),
     "ambient_visibility": Words(
         "Any plane has visibility exactly 1 at the gtao rungs; the background too.",

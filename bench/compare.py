@@ -20,7 +20,7 @@ from .noise import DRIFT, FLOOR_MS, Sample, limit
 from .record import Record
 from .timing import MIN_REPEATS, REPEATS
 
-__all__ = ["Change", "Comparison", "compare", "table"]
+__all__ = ["Change", "Comparison", "compare", "row_name", "table"]
 
 #: Fields that name a row; of a bench that is not here, all that are words or whole numbers and no metric.
 NAMES = {
@@ -151,14 +151,15 @@ def _rows(record: Record) -> dict[str, Row]:
     """Rows by name."""
     found: dict[str, Row] = {}
     for row in record["rows"]:
-        name = _name(record["bench"], row)
+        name = row_name(record["bench"], row)
         if name in found:
             raise LoadError(f"rows of {record['bench']}: expected one named {name!r}, got two; run the bench again")
         found[name] = row
     return found
 
 
-def _name(bench: str, row: Row) -> str:
+def row_name(bench: str, row: Row) -> str:
+    """Name of a row: the words and numbers that no other row of its result has together."""
     keys = NAMES.get(bench) or [k for k, v in row.items() if "." not in k and isinstance(v, (str, int))]
     # A number says nothing without its field; a word does.
     parts = [str(row[k]) if isinstance(row[k], str) else f"{k} {row[k]:g}" for k in keys if k in row]

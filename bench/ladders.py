@@ -2,8 +2,8 @@
 
 A ladder changes one stage and holds the rest fixed: every optional effect that is not on it is off, and all else is at
 its default, but for what `fixed` says. Rungs are named from cheap to reference and read from `Settings`, so that a rung
-that comes later is measured, too. There is no ladder for fast or fused arithmetic, nor for textures: no setting of this
-version chooses them.
+that comes later is measured, too. There is no ladder for textures: no setting of this version chooses how they are
+filtered. Depth and arithmetic also have a ladder each whose reference is the float64 twin.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ from __future__ import annotations
 import dataclasses
 import typing
 from collections.abc import Callable
+
+import numpy as np
 
 from warp_deferred import Camera, Scene, Settings, load
 from warp_deferred.checks import check_choice, input_error
@@ -169,15 +171,40 @@ def _lens(**fields: float) -> Callable[[Scene], None]:
     return change
 
 
+def _casting(scene: Scene) -> None:
+    """Let directional lights cast where no light does."""
+    lights = scene.lights
+    if not any(np.any(group.casts_shadow) for _, group in lights.groups() if len(group)) and len(lights.directional):
+        lights.directional.casts_shadow = np.full(len(lights.directional), True)
+
+
+def _precision() -> tuple[Ladder, ...]:
+    """Ladders of how numbers are kept and rounded, all but those of one codec's bits."""
+    depth, lighting = _rungs("gbuffer", "depth"), ("resolve", "light_culling", "shade")
+    shown, shadows = ("shadows", "spheres_50k", "hundred_lights", "many_lights"), ("shadow.rung=pcf",)
+    sums, arithmetic = _rungs("shade", "accumulation"), _rungs("shade", "arithmetic")
+    # What differs by roundings alone must not be rounded again on its way.
+    held = ("gbuffer.rung=full", "shade.radiance=float32")
+    against = (
+        Rung("compact", ("gbuffer.rung=compact",)), Rung("half_sums", sums[0].settings),
+        *(rung for rung in arithmetic if rung.name != "precise"), Rung("full", ()),
+    )  # fmt: skip
+    return (
+        # Shadows are on: coarse depth lights surfaces from where they are not, which maps notice first.
+        Ladder("depth", "Depth as stored", depth, TWIN, shown, "relative_depth", lighting, shadows, twin=True),
+        Ladder("depth_format", "Depth formats", depth, "float32", shown, "relative_depth", lighting, shadows),
+        Ladder("arithmetic", "Float32 against the float64 twin", against, TWIN, ("corner", *_FOUR),
+               "relative_radiance", ("resolve", "lights", "light_culling", "shade"), held, twin=True),
+        Ladder("fast_math", "Fused and fast arithmetic", arithmetic, "precise", _FOUR, "stored_radiance", ("shade",),
+               held),
+        Ladder("accumulation", "Sums of light", sums, "float32", _FOUR, "stored_radiance", ("shade",), held),
+    )  # fmt: skip
+
+
 def _all() -> tuple[Ladder, ...]:
     """Every ladder, in the order of the page; what moves stands last."""
     return (
-        Ladder("depth", "Depth as stored", (Rung("float32_keys", ()),), TWIN, ("corner", "many_lights", "shadows"),
-               "relative_depth", ("raster",), twin=True),
-        Ladder("arithmetic", "Float32 against the float64 twin",
-               (Rung("compact", ()), Rung("full", ("gbuffer.rung=full",))), TWIN,
-               ("corner", "many_lights", "shadows"), "relative_radiance",
-               ("resolve", "lights", "light_culling", "shade"), twin=True),
+        *_precision(),
         Ladder("normals", "Normal codecs", _rungs("gbuffer", "normal"), "float32",
                ("spheres_50k", "many_lights", "hundred_lights", "shadows"), "degrees", ("resolve", "shade")),
         Ladder("gbuffer", "G-buffer formats", _rungs("gbuffer"), "full",
@@ -190,8 +217,9 @@ def _all() -> tuple[Ladder, ...]:
         Ladder("light_culling", "Light culling", _rungs("light_culling"), "brute_force", _FOUR, "exact_radiance",
                ("light_culling", "shade"), exact=True),
         # Frames are replayed: maps that are kept where nothing moves would never be drawn.
-        Ladder("shadow", "Shadows", _rungs("shadow"), "ray_traced", ("shadows", "spheres_50k", "terrain_400k"),
-               "direct_visibility", fixed=("shadow.keep_maps=false",), quarter=("shadow.samples=64",)),
+        Ladder("shadow", "Shadows", _rungs("shadow"), "ray_traced",
+               ("shadows", "spheres_50k", "terrain_400k", "corner"), "direct_visibility",
+               fixed=("shadow.keep_maps=false",), quarter=("shadow.samples=64",), change=_casting),
         Ladder("ambient_visibility", "Ambient visibility", _rungs("ambient_visibility"), "ray_traced",
                ("corner", *_FOUR), "visibility", quarter=("ambient_visibility.rays=64",)),
         Ladder("bloom", "Bloom", _rungs("bloom"), "exact", ("glow", "many_lights", "hundred_lights", "shadows"),

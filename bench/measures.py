@@ -16,7 +16,7 @@ import numpy as np
 from warp_deferred.errors import Error
 from warp_deferred.plan import Plan
 
-from .decoding import gbuffer_normals
+from .decoding import gbuffer_depth, gbuffer_normals
 
 __all__ = ["MEASURES", "WINDOW", "Measure", "decoded", "picture_errors", "scattered", "stage_errors", "stored"]
 
@@ -40,8 +40,8 @@ class Measure:
         text: What it is, in a sentence.
         errors: Errors of pixels.
         threshold: Error above which a pixel counts into the share that is off, in the unit.
-        output: Output of the renderer that is compared; empty: the picture, or what `channel` reads.
-        channel: Reads what is compared from a plan after its frame.
+        output: Output of the renderer that is compared, and of the twin; empty: the picture, or what `channel` reads.
+        channel: Reads what is compared from a plan after its frame, in place of the output.
         absent: What the output is everywhere at rung `off`, where it cannot be asked for; None: it can.
     """
 
@@ -139,8 +139,8 @@ def _codes(actual: Values, reference: Values, off: Values | None) -> Values:
 
 #: Measures by name.
 MEASURES: dict[str, Measure] = {
-    "relative_depth": Measure("share of the depth", "Difference of view depths over the depth.", _relative_depth, 1e-5,
-                              "depth"),
+    "relative_depth": Measure("share of the depth", "Difference of view depths, as `shade` reads them, over the depth.",
+                              _relative_depth, 1e-5, "depth", channel=gbuffer_depth),
     "relative_radiance": Measure("share of mean radiance", "Difference of linear radiance over the picture's mean.",
                                  _relative, 0.01, "color"),
     "exact_radiance": Measure("share of mean radiance", "Difference of linear radiance over the picture's mean: 0.",

@@ -130,6 +130,9 @@ def choose(record: Record) -> dict[str, list[Chosen]]:
         if ladder.twin or ladder.exact:
             continue
         points = _points(record, name)
+        if not any(error for _, error in points.values()):
+            # Fast arithmetic on a CPU, which has none: noise alone would choose.
+            continue
         for preset, rate in RATES.items():
             if rate is None:
                 rung = ladder.reference

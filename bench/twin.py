@@ -1,7 +1,7 @@
 """The float64 twin: the tests' reference renderer, which knows no tiles, no codecs and no shortcuts, as a ladder's top.
 
 It is read from `tests/`, beside which the benches stand, and imports nothing of the package; it has no shadows and no
-effects, so that ladders against it leave them out.
+effects, so that ladders of light against it leave them out.
 """
 
 from __future__ import annotations

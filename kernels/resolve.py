@@ -11,6 +11,7 @@ import functools
 import warp as wp
 
 from .clusters import pair_of_instance
+from .depth_encoding import make_depth_access
 from .encoding import FLAG_EMISSIVE, Surface, make_gbuffer_codec
 from .interpolation import Barycentric, barycentric, mix2, mix3, mix4, relative_vertex
 from .intrinsics import bits_float, load_vec4i
@@ -34,7 +35,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 64
 LAYER_NAMES = ("normal", "position", "albedo", "alpha", "instance_id", "semantic_id", "material_id", "triangle_id")
-#: (codec or None, layers, textured, colors, emissive): what CI compiles.
+#: (codec or None, layers, textured, colors, emissive, depth, linear): what CI compiles; the last two may be left out.
 VARIANTS = [
     (("compact", "oct24", True), (), True, True, True),
     (("compact", "oct24", True), (), False, False, False),
@@ -46,6 +47,9 @@ VARIANTS = [
     (("compact", "oct16", True), (), False, False, False),
     (("compact", "oct32", True), (), False, False, False),
     (("compact", "float32", True), (), False, False, False),
+    (("compact", "oct24", True), (), False, False, False, "unorm16", False),
+    (("compact", "oct24", True), (), False, False, False, "ufloat16", True),
+    (("compact", "oct24", True), (), False, False, False, "unorm24", False),
 ]
 
 
@@ -200,7 +204,15 @@ def make_write_layers(layers: tuple[str, ...]):
 
 
 @functools.cache
-def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: bool, colors: bool, emissive: bool):
+def make_resolve_kernel(
+    codec: tuple | None,
+    layers: tuple[str, ...],
+    textured: bool,
+    colors: bool,
+    emissive: bool,
+    depth: str = "float32",
+    linear: bool = False,
+):
     """Kernel that fills the G-buffer and the layers asked for.
 
     Args:
@@ -209,7 +221,10 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         textured: Some material in use has a texture.
         colors: Some mesh in use has vertex colours.
         emissive: Some material in use emits.
+        depth: Depth format of the G-buffer, out of DEPTH_CODECS.
+        linear: Linear depth is written beside a depth of codes, for what reads that.
     """
+    store_depth, clear_depth, _ = make_depth_access(depth)
     encode = make_gbuffer_codec(*(codec or ("compact", "oct24", False)))[0]
     textured_surface = make_textured_surface(emissive)
     write_background, write_surface = make_write_layers(layers)
@@ -240,6 +255,8 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
         key = keys[i]
         if key == wp.uint64(0):
             if wp.static(codec is not None):
+                clear_depth(out_gbuffer, i)
+            if wp.static(linear):
                 out_gbuffer.depth[i] = wp.inf
             write_background(i, out_layers)
             return
@@ -274,8 +291,10 @@ def make_resolve_kernel(codec: tuple | None, layers: tuple[str, ...], textured: 
                 s.flags = FLAG_EMISSIVE
                 out_layers.emissive[i] = emission
         if wp.static(codec is not None):
-            out_gbuffer.depth[i] = linear_depth(view, z)
+            store_depth(out_gbuffer, view, i, z)
             encode(out_gbuffer, i, s)
+        if wp.static(linear):
+            out_gbuffer.depth[i] = linear_depth(view, z)
         relative = wp.vec3()
         if wp.static("position" in layers):
             relative = relative_position(view, px, py, linear_depth(view, z))

@@ -2,6 +2,11 @@
 
 The loop runs over the summary bits, the mask words they stand for and the lights of each word. A light that does not
 reach adds nothing at all, so any mask that misses none gives the same bits as all of them.
+
+Two settings stand for what other renderers do, to be measured. Half sums are those of a renderer that adds light by
+light into half4 targets, here one for diffuse and one for specular light: radiance, rounded after each light. Fused and
+fast arithmetic are options of this kernel alone: coverage, ids, depth and masks are decided elsewhere, and the margins
+of masks (1e-4 of a light's range) are far above what its arithmetic moves, so that no light is missed with it either.
 """
 
 from __future__ import annotations
@@ -11,13 +16,14 @@ import functools
 import warp as wp
 
 from .brdf import INVERSE_PI, MIN_N_DOT_V, diffuse_albedo, make_reflectance
-from .encoding import FLAG_EMISSIVE, make_gbuffer_codec
+from .depth_encoding import make_depth_access
+from .encoding import FLAG_EMISSIVE, Surface, make_gbuffer_codec
 from .image import store_limit, to_half
-from .intrinsics import load_vec4, load_vec4i, lowest_bit
+from .intrinsics import load_vec4, load_vec4i, lowest_bit, unpack_half3
 from .lights import make_arrive
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
 from .structs import (
-    MODULE_OPTIONS,
+    ARITHMETIC_OPTIONS,
     PIXEL_BLOCK_AREA,
     FrameValues,
     GBuffer,
@@ -36,7 +42,8 @@ BOUNDS = (64, 18)
 MAP_BOUNDS = (64, 16)
 MAP_RUNGS = ("hard", "pcf")
 OUTPUTS = ("color", "diffuse", "specular", "light_count", "bright")
-#: (codec, models, kinds, polynomial, emissive, outputs, visible, shadow): what CI compiles.
+#: (codec, models, kinds, polynomial, emissive, outputs, visible, shadow, depth, accumulation, arithmetic): what CI
+#: compiles; the last four may be left out.
 VARIANTS = [
     (("compact", "oct24", True), 15, 7, True, True, ("color", "diffuse", "specular", "light_count"), True),
     (("compact", "oct24", True), 8, 3, False, True, (), True),
@@ -50,6 +57,11 @@ VARIANTS = [
     (("compact", "oct24", True), 8, 7, False, False, (), False, ("pcf", 7, 6.0)),
     (("compact", "oct24", True), 8, 7, False, False, (), False, ("pcss", 7, 40.0)),
     (("compact", "oct24", True), 8, 7, False, False, (), False, ("ray_traced", 64, "none", True)),
+    (("compact", "oct24", True), 8, 3, False, True, (), False, None, "unorm16"),
+    (("compact", "oct24", True), 8, 3, False, True, (), False, None, "ufloat16", "half", "fused"),
+    (("compact", "oct24", True), 8, 7, False, False, (), False, ("pcf", 7, 6.0), "unorm24", "float32", "fast"),
+    (("full", "float32", True), 15, 7, True, True, ("color",), False, None, "float32", "half"),
+    (("full", "float32", True), 15, 7, True, True, ("color",), False, None, "float32", "float32", "fast"),
 ]
 
 
@@ -67,6 +79,41 @@ class ShadeTarget:
 
 
 @functools.cache
+def make_sums(half: bool):
+    """(add_diffuse, add_specular, reflected) functions: a light's part added to a sum, and radiance of the diffuse sum.
+
+    Sums of halves are of radiance from the start, as a render target would hold them: the irradiance of the sun is past
+    their range.
+    """
+
+    @wp.func
+    def add(sum: wp.vec3, light: wp.vec3):
+        return sum + light
+
+    @wp.func
+    def add_irradiance(sum: wp.vec3, light: wp.vec3, s: Surface):
+        return sum + light
+
+    @wp.func
+    def reflected(sum: wp.vec3, albedo: wp.vec3):
+        return wp.cw_mul(sum, albedo * INVERSE_PI)
+
+    @wp.func
+    def add_half(sum: wp.vec3, light: wp.vec3):
+        return unpack_half3(to_half(sum + light))
+
+    @wp.func
+    def add_radiance(sum: wp.vec3, light: wp.vec3, s: Surface):
+        return unpack_half3(to_half(sum + wp.cw_mul(light, diffuse_albedo(s) * INVERSE_PI)))
+
+    @wp.func
+    def already(sum: wp.vec3, albedo: wp.vec3):
+        return sum
+
+    return (add_radiance, add_half, already) if half else (add_irradiance, add, reflected)
+
+
+@functools.cache
 def make_shade_kernel(
     codec: tuple,
     models: int,
@@ -76,6 +123,9 @@ def make_shade_kernel(
     outputs: tuple[str, ...],
     visible: bool,
     shadow: tuple | None = None,
+    depth_format: str = "float32",
+    accumulation: str = "float32",
+    arithmetic: str = "precise",
 ):
     """Kernel that lights the G-buffer.
 
@@ -88,7 +138,12 @@ def make_shade_kernel(
         outputs: Names out of OUTPUTS to write; without `color` the half4 radiance is written.
         visible: Ambient light is multiplied by the ambient visibility; else nothing reads it.
         shadow: Arguments of `make_shadow_factor`, or "ray_traced" and those of `make_ray_factor`; None: none casts.
+        depth_format: Depth format of the G-buffer, out of DEPTH_CODECS.
+        accumulation: `half`: both sums are rounded to half after each light; `float32`: not at all.
+        arithmetic: Key of ARITHMETIC_OPTIONS.
     """
+    add_diffuse, add_specular, reflected = make_sums(accumulation == "half")
+    load_depth = make_depth_access(depth_format)[2]
     decode = make_gbuffer_codec(*codec)[1]
     view_lobe, reflect = make_reflectance(models)
     towards, arrive = make_arrive(kinds, polynomial)
@@ -98,11 +153,11 @@ def make_shade_kernel(
         from .shadow_rays import ShadowRays as Shadows
         from .shadow_rays import make_ray_factor
 
-        shadow_factor = make_ray_factor(*shadow[1:])
+        shadow_factor = make_ray_factor(*shadow[1:], depth_format)
     elif shadow is not None:
         from .shadow_lookup import make_shadow_factor
 
-        shadow_factor = make_shadow_factor(*shadow)
+        shadow_factor = make_shadow_factor(*shadow, depth_format)
 
     @wp.func
     def write(
@@ -128,7 +183,7 @@ def make_shade_kernel(
     # The longer look-ups have more to keep than bounds leave room for; spilling it would cost more than waiting.
     bounds = BOUNDS if shadow is None else MAP_BOUNDS if shadow[0] in MAP_RUNGS else None
 
-    @wp.kernel(module="unique", module_options=MODULE_OPTIONS, grid_stride=False, launch_bounds=bounds)
+    @wp.kernel(module="unique", module_options=ARITHMETIC_OPTIONS[arithmetic], grid_stride=False, launch_bounds=bounds)
     def shade_kernel(
         # Frame
         views: wp.array[View],
@@ -154,7 +209,7 @@ def make_shade_kernel(
         if x >= view.width or y >= view.height:
             return
         i = pixel_index(view, x, y)
-        depth = gbuffer.depth[i]
+        depth = load_depth(gbuffer, view, i)
         zero = wp.vec3()
         if not wp.isfinite(depth):
             write(view, i, out_target, values[0].background, zero, zero, 0)
@@ -194,11 +249,11 @@ def make_shade_kernel(
                                 c = load_vec4(lights.color, light)
                                 irradiance = wp.vec3(c[0], c[1], c[2]) * (a.power * n_dot_l)
                                 f = reflect(s, lobe, to_light * a.inverse, v, n_dot_l)
-                                diffuse += wp.cw_mul(f.diffuse, irradiance)
-                                specular += wp.cw_mul(f.specular, irradiance)
+                                diffuse = add_diffuse(diffuse, wp.cw_mul(f.diffuse, irradiance), s)
+                                specular = add_specular(specular, wp.cw_mul(f.specular, irradiance))
                                 count += 1
         albedo = diffuse_albedo(s)
-        diffuse = wp.cw_mul(diffuse, albedo * INVERSE_PI)
+        diffuse = reflected(diffuse, albedo)
         ambient = wp.cw_mul(albedo, values[0].ambient) * s.occlusion
         if wp.static(visible):
             ambient = ambient * visibility[i]

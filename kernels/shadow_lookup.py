@@ -9,7 +9,8 @@ angle, and the lift stays below k t, where the depth bias would grow without bou
 not from the ray, which makes this hold for perspective maps too. The lift moves the edge of a shadow by at most
 k t sin(a), and lets light through an occluder only where it is thinner than that.
 SNAP, TILT and the rounding terms cover snapped vertices (1/256 texel, and 1/256 pixel of the camera), quantised normals
-and float32. What is left of rounding in the depth itself is UNITS last places.
+and float32; where the camera's depth is a code, what its format may be off comes to it. What is left of rounding in the
+depth itself is UNITS last places.
 
 The filters themselves are in shadow_filters.py. A point takes the finest cascade that holds it with its filter. Where
 cascades meet, the filters blend over the outer eighth of the finer one, and the last one fades out; `hard` switches.
@@ -22,6 +23,7 @@ import functools
 
 import warp as wp
 
+from .depth_encoding import make_depth_slack
 from .intrinsics import bits_float, float_bits, load_vec4, load_vec4i
 from .shadow_filters import disc_factor, hard_factor, mean_blocker, pcf_factor
 from .structs import ORTHOGRAPHIC, SLOT_CASCADE, SLOT_FACE, ShadowMaps, View
@@ -211,14 +213,17 @@ def make_filter(rung: str, parallel: bool):
 
 
 @functools.cache
-def make_shadow_factor(rung: str, kinds: int, border: float):
+def make_shadow_factor(rung: str, kinds: int, border: float, depth_format: str = "float32"):
     """Function that tells which share of a light reaches a point: 1 where no map holds it (lit), 0 in full shadow.
 
     Args:
         rung: hard, pcf or pcss.
         kinds: Bit k: slots of kind k (spot, face, cascade) are there.
         border: Texels at the rim of a cascade that only filters read.
+        depth_format: Depth format of the G-buffer that points come from.
     """
+    coded = depth_format != "float32"
+    depth_slack = make_depth_slack(depth_format) if coded else None
     filter_local, filter_cascade = make_filter(rung, False), make_filter(rung, True)
 
     @wp.func
@@ -273,9 +278,13 @@ def make_shadow_factor(rung: str, kinds: int, border: float):
         if wp.static((kinds & 4) != 0):
             if tile[2] == SLOT_CASCADE:
                 slack = pixel * SNAP + ROUNDING * wp.length(point)
+                if wp.static(coded):
+                    slack += depth_slack(view, point, normal, depth)
                 return cascade_factor(maps, first, tile, point, normal, slack)
         if wp.static((kinds & 3) != 0):
             slack = pixel * SNAP + ROUNDING * (wp.length(point) + wp.length(to_light))
+            if wp.static(coded):
+                slack += depth_slack(view, point, normal, depth)
             return local_factor(maps, first, tile, -to_light, normal, slack)
         return wp.float32(1.0)
 

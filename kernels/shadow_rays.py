@@ -10,8 +10,8 @@ missed, as it may be by so many points. Points are the same for every pixel: no 
 whose tangent no fraction comes near, so that it is aligned with no edge of a common slope.
 
 What stops light is what shadow maps draw: the same worlds, alpha masks and culled sides; ray_scene.py has the trees.
-Rays leave from a point lifted off the surface by its rounding alone. Rays a pixel: 1.4 samples, and up to 1.5 samples
-more in a penumbra. Functions only, no kernel.
+Rays leave from a point lifted off the surface by its rounding alone, that of its depth's format included. Rays a pixel:
+1.4 samples, and up to 1.5 samples more in a penumbra. Functions only, no kernel.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import math
 
 import warp as wp
 
+from .depth_encoding import make_depth_slack
 from .ray_scene import RayScene, make_blocked
 from .shadow_lookup import ROUNDING, SNAP, pixel_size
 from .structs import LIGHT_DIRECTIONAL, LightSource, View
@@ -55,14 +56,17 @@ def net_point(k: wp.int32):
 
 
 @functools.cache
-def make_ray_factor(samples: int, cull: str, masked: bool):
+def make_ray_factor(samples: int, cull: str, masked: bool, depth_format: str = "float32"):
     """Function that tells which share of a light reaches a point, 1 where it casts no shadow.
 
     Args:
         samples: Corners of cells that lie on the light's disc, at most 2048.
         cull: Sides of one-sided materials that stop no light: none, back or front.
         masked: Some material is alpha-masked.
+        depth_format: Depth format of the G-buffer that points come from.
     """
+    coded = depth_format != "float32"
+    depth_slack = make_depth_slack(depth_format) if coded else None
     blocked = make_blocked(cull, masked)
     side = math.sqrt(math.pi / samples)
     # Corners of all cells that touch the disc.
@@ -144,6 +148,8 @@ def make_ray_factor(samples: int, cull: str, masked: bool):
         # In lengths of the ray: to a point or spot light it ends where the source begins.
         reach = wp.where(parallel, FAR_AWAY, wp.max(1.0 - size / wp.max(away, 1.0e-30), 0.0))
         slack = pixel_size(view, depth) * SNAP + ROUNDING * (4.0 * wp.length(point) + away)
+        if wp.static(coded):
+            slack += depth_slack(view, point, normal, depth)
         start = point + normal * slack
         towards = wp.normalize(to_light)
         aside = wp.vec3(0.0, 1.0, 0.0)

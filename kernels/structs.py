@@ -16,6 +16,13 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 #: Options of every specialised kernel's own module, which does not take its file's: without fused multiply-adds CPU and
 #: CUDA agree to the bit.
 MODULE_OPTIONS = {"enable_backward": False, "fuse_fp": False}
+#: Options by how a kernel may round: `fused` merges products and sums into one rounding, `fast` also takes CUDA's
+#: approximate division, root, power and exponential and flushes what is denormal to 0.
+ARITHMETIC_OPTIONS = {
+    "precise": MODULE_OPTIONS,
+    "fused": MODULE_OPTIONS | {"fuse_fp": True},
+    "fast": MODULE_OPTIONS | {"fuse_fp": True, "fast_math": True},
+}
 
 #: Side of the square of pixels that 64 consecutive threads of a pixel pass cover.
 PIXEL_BLOCK = wp.constant(8)
@@ -236,6 +243,8 @@ class GBuffer:
     """Surface attributes a pixel; which arrays are used is the codec's choice (see encoding.py)."""
 
     depth: wp.array[wp.float32]  # linear view depth [m], +inf on the background
+    depth16: wp.array[wp.uint16]  # codes of depth where its format has some (see depth_encoding.py), 0: background
+    depth32: wp.array[wp.uint32]  # those of more than 16 bits
     normal: wp.array[wp.uint32]  # low 24 bits normal, high 8 bits model and flags
     normal_wide: wp.array[wp.uint32]  # 32-bit normal codecs
     albedo: wp.array[wp.uint32]  # three 8-bit square roots of albedo and roughness or shininess

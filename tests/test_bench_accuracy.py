@@ -58,7 +58,7 @@ def test_ladders_of_the_settings_are_climbed_whole_and_have_words():
     for name, ladder in LADDERS.items():
         # The reference stands last, but for the twin, which no setting selects.
         assert ladder.reference == (TWIN if ladder.twin else ladder.rungs[-1].name), name
-        assert ladder.measure in measures.MEASURES and len(ladder.scenes) >= 3
+        assert ladder.measure in measures.MEASURES and len(ladder.scenes) >= 4, name
 
 
 def test_a_rung_leaves_other_effects_off_and_holds_what_is_fixed():
@@ -177,7 +177,8 @@ def test_every_ladder_has_every_rung(result):
             assert row["stage.ms_p5"] <= row["stage.ms"] <= row["stage.ms_p95"] and row["frame.ms"] > 0.0
             if row["rung"] == row["reference"] or ladder.exact:
                 assert not any(errors), (name, row["rung"])
-            elif row["rung"] != "off" and name != "motion_blur":
+            # A CPU has neither fast nor, as it is compiled for, fused arithmetic.
+            elif row["rung"] != "off" and name not in ("motion_blur", "fast_math"):
                 assert row["stage.rmse"] > 0.0, (name, row["rung"])
 
 
@@ -192,7 +193,7 @@ def test_ladders_can_be_climbed_on_each_device(only, device):
     outcome = accuracy.run(wp.get_device(device), quick=True, settings=Settings(), note=str, only=only)
     assert outcome["skipped"] == []
     rows = {row["rung"]: row for row in outcome["rows"]}
-    row = rows[only.partition(".")[2] or "float32_keys"]
+    row = rows[only.partition(".")[2] or "float32"]
     assert (row["stage.rmse"] > 0.0) != LADDERS[row["ladder"]].exact and row["stage.ms"] != 0.0
     if row["ladder"] == "normals":
         assert row["stage.max"] <= LARGEST_ERROR["oct16"]
@@ -210,9 +211,41 @@ def test_references_that_sample_say_their_noise(result):
 
 def test_the_twin_agrees(result):
     depth, compact, full = (row_of(result, *name) for name in
-                            (("depth", "float32_keys"), ("arithmetic", "compact"), ("arithmetic", "full")))  # fmt: skip
+                            (("depth", "float32"), ("arithmetic", "compact"), ("arithmetic", "full")))  # fmt: skip
     assert 0.0 < depth["stage.rmse"] < 1e-5 and depth["pixels.other"] < 0.01
     assert 0.0 < full["stage.rmse"] < 0.01 * compact["stage.rmse"]
+
+
+def test_depth_stays_within_its_formats_bounds(result):
+    near = 0.05
+    # Both quick scenes lie within 20 m of an eye whose near plane is at 0.05 m.
+    bounds = {"unorm16": 20.0 / (2 * 65535 * near), "ufloat16": 2.45e-4, "unorm24": 20.0 / (2 * (2**24 - 1) * near)}
+    for ladder in ("depth", "depth_format"):
+        errors = [row_of(result, ladder, name)["stage.max"] for name in bounds]
+        assert all(0.0 < error <= bound + 1e-6 for error, bound in zip(errors, bounds.values(), strict=True)), errors
+    ladder = LADDERS["depth"]
+    assert [rung.name for rung in ladder.rungs] == ["unorm16", "ufloat16", "unorm24", "float32"]
+
+
+def test_the_twin_ranks_roundings(result):
+    names = ("compact", "half_sums", "fast", "fused", "full")
+    errors = {name: row_of(result, "arithmetic", name)["stage.rmse"] for name in names}
+    # On the CPU the last three are one.
+    assert errors["compact"] > errors["half_sums"] > 2.0 * errors["full"] > 0.0
+    assert errors["fast"] == errors["fused"] == errors["full"]
+
+
+def test_lights_that_cast_for_a_ladder_alone_do_not_cast_afterwards(monkeypatch):
+    seen = []
+    monkeypatch.setattr(accuracy._Bench, "_rows", lambda self, ladder, skip: seen.append(casts(self.scene)) or [])
+
+    def casts(scene):
+        return [bool(np.any(group.casts_shadow)) for _, group in scene.lights.groups() if len(group)]
+
+    shared = accuracy._Run(wp.get_device("cpu"), True, Settings(), str, None)
+    bench = accuracy._Bench(shared, "corner", "corner")
+    bench.climb(LADDERS["shadow"], str)
+    assert seen == [[True]] and casts(bench.scene) == [False]
 
 
 def test_what_fails_is_named_and_the_others_go_on(monkeypatch):
@@ -263,7 +296,7 @@ def test_an_interrupted_run_leaves_its_finished_rows(monkeypatch, tmp_path):
     path = tmp_path / "accuracy.json"
     assert main(["accuracy", "--device", "cpu", "--quick", "--json", str(path)]) not in (0, 1)
     outcome = record.read(path)
-    assert {row["ladder"] for row in outcome["rows"]} == {"tile_size"}
+    assert {row["ladder"] for row in outcome["rows"]} == {"fast_math", "accumulation", "tile_size"}
     assert "tile" in tables.full_table(outcome)
 
 
@@ -324,4 +357,4 @@ def test_the_page_is_made_of_the_card_s_result_where_there_is_one(result):
 
 def test_a_ladder_needs_no_settings_of_its_own():
     ladder = Ladder("x", "X", (Rung("a", ()),), TWIN, ("corner",), "relative_depth", ("raster",), twin=True)
-    assert ladder.at("a") == LADDERS["depth"].at("float32_keys") and not ladder.has_off
+    assert ladder.at("a") == LADDERS["normals"].at("oct24") and not ladder.has_off

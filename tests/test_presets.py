@@ -51,6 +51,17 @@ def test_the_rule_in_a_case_done_by_hand():
     assert all("light_culling" not in of for of in rungs.values())
 
 
+def test_rungs_that_all_give_the_same_bits_are_not_chosen_by_noise():
+    rows = [("fast_math", "shadows", "fast", 1.0, 0.0), ("fast_math", "shadows", "fused", 0.9, 0.0),
+            ("fast_math", "shadows", "precise", 1.1, 0.0)]  # fmt: skip
+    assert all(of == [] for of in presets.choose(accuracy(rows)).values())
+    rows[0] = (*rows[0][:4], 1e-6)
+    chosen = presets.choose(accuracy(rows))
+    assert [chosen[name][0].settings for name in ("draft", "reference")] == [
+        ("shade.arithmetic=fused",), ("shade.arithmetic=precise",)
+    ]  # fmt: skip
+
+
 def test_dearer_presets_are_nearer():
     chosen = presets.choose(record.read(presets.source(ROOT)))
     errors = [{c.ladder: c.error for c in chosen[name]} for name in NAMES]

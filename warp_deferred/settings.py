@@ -44,6 +44,10 @@ class GBufferSettings(Record):
     """compact: 16 bytes a pixel; full: float32 everywhere."""
     normal: Literal["rgb8", "xy16", "oct16", "oct24", "oct32", "float32"] = "oct24"
     """Normal codec of the compact G-buffer; `full` always keeps float32."""
+    depth: Literal["unorm16", "ufloat16", "unorm24", "float32"] = "float32"
+    """Depth that lighting reads, in the compact G-buffer; `full` always keeps float32. Codes of the reversed depth z =
+    near / depth: unorm16, unorm24 at equal steps, off by the share depth / (2^17 near) or depth / (2^25 near); ufloat16
+    by the share 2.5e-4 anywhere, in 16 bits. Outputs and effects that look at depth themselves keep float32."""
 
 
 class LightCullingSettings(Record):
@@ -64,6 +68,13 @@ class ShadeSettings(Record):
 
     radiance: Literal["half", "float32"] = "half"
     """Format of the radiance behind `display`; `color` is float32 whenever it is asked for."""
+    accumulation: Literal["half", "float32"] = "float32"
+    """Sums of diffuse and of specular light while lights are added. half: rounded after each light, as in a renderer
+    that adds into half4 targets, off by at most 2^-11 of the sum for each light that arrives; here it saves nothing."""
+    arithmetic: Literal["fast", "fused", "precise"] = "precise"
+    """How lighting may round. fused: products and sums at once; fast: CUDA's approximate division, root and power, too;
+    the CPU has no such thing. Coverage, ids, depth, masks and other passes are always precise; what fused or fast gives
+    is not the same bits on every device."""
 
 
 class DisplaySettings(Record):

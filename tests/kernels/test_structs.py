@@ -104,9 +104,26 @@ def all_kernels(file: str) -> tuple[wp.Kernel, ...]:
 def test_e9_no_kernel_fuses_multiply_and_add(file):
     # A specialised kernel is a module of its own and does not inherit its file's options.
     for kernel in all_kernels(file):
-        assert kernel.module.options["fuse_fp"] is False, kernel.key
-        assert kernel.module.options["enable_backward"] is False, kernel.key
-        assert kernel.module.options["fast_math"] is False, kernel.key
+        options = kernel.module.options
+        assert options["enable_backward"] is False, kernel.key
+        if kernel in asked_for(file):
+            continue
+        assert options["fuse_fp"] is False and options["fast_math"] is False, kernel.key
+
+
+def asked_for(file):
+    """Kernels of a file that a setting has round otherwise: lighting's, whose last argument says so."""
+    module = importlib.import_module(f"warp_deferred.kernels.{file}")
+    return [module.make_shade_kernel(*v) for v in module.VARIANTS if len(v) == 11] if file == "shade" else []
+
+
+def test_lighting_fuses_only_where_a_setting_says_so():
+    rounding = [kernel.module.options for kernel in asked_for("shade")]
+    assert [(options["fuse_fp"], options["fast_math"]) for options in rounding] == [
+        (True, False),
+        (True, True),
+        (True, True),
+    ]
 
 
 def test_every_kernel_is_found():

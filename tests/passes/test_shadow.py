@@ -42,7 +42,16 @@ def test_a_shadow_falls_where_geometry_says(kind, rung, device):
 
 @pytest.mark.parametrize("kind", ["directional", "spot", "point"])
 @pytest.mark.parametrize("rung", RUNGS)
-@pytest.mark.parametrize("codec", [(), ("gbuffer.rung=compact", "gbuffer.normal=rgb8")], ids=["full", "rgb8"])
+@pytest.mark.parametrize(
+    "codec",
+    [
+        (),
+        ("gbuffer.rung=compact", "gbuffer.normal=rgb8"),
+        ("gbuffer.rung=compact", "gbuffer.depth=unorm16"),
+        ("gbuffer.rung=compact", "gbuffer.depth=ufloat16"),
+    ],
+    ids=["full", "rgb8", "unorm16", "ufloat16"],
+)
 def test_s1_a_lit_plane_does_not_shadow_itself(kind, rung, codec, device):
     for angle in (0.0, 20.0, 45.0, 70.0, 80.0, 85.0):
         for scale in (64, 256):

@@ -22,6 +22,7 @@ from ..program import FIRST
 from ..resources import Resources
 from ..views import ViewLayout
 from .base import Buffer, Pass, Request
+from .resolve import depth_buffers, depth_format
 
 __all__ = ["Band", "LightCullingPass", "culls_by_band", "fill_masks", "make_masks", "mask_bands", "mask_words"]
 
@@ -174,7 +175,7 @@ class LightCullingPass(Pass):
 
     def reads(self) -> tuple[str, ...]:
         """Depth and lights."""
-        return ("depth", "staged_lights")
+        return (*depth_buffers(self.request, self.layout), "staged_lights")
 
     def writes(self) -> dict[str, Buffer]:
         """Masks of the largest band, and bounds of all tiles."""
@@ -199,6 +200,11 @@ class LightCullingPass(Pass):
         rung = self.request.settings.light_culling.rung
         if rung != "brute_force":
             self.culling = kernels.make_light_culling_kernels(rung == "tiles_depth")
+            self.bounds = kernels.tile_bounds_kernel
+            if depth_format(self.request) != "float32":
+                from ..kernels.coded_bounds import make_coded_bounds_kernel
+
+                self.bounds = make_coded_bounds_kernel(depth_format(self.request))
         self.masks = make_masks(resources, self.request, self.bands[0])
 
     def run(self, resources: Resources) -> None:
@@ -220,12 +226,13 @@ class LightCullingPass(Pass):
 
     def _find_bounds(self, resources: Resources) -> None:
         program, views, channels = resources.program, resources.frame.views, resources.channels
+        (depth,) = depth_buffers(self.request, self.layout)
         shift, coarse_shift = self.layout.tile_shift, self.layout.coarse_shift
         # Tile operations use one arena a process on the CPU backend: these two stay on one host thread.
         program.launch(
-            kernels.tile_bounds_kernel,
+            self.bounds,
             len(self.layout.tiles),
-            [views, resources.tiles, channels["depth"], shift, FIRST],
+            [views, resources.tiles, channels[depth], shift, FIRST],
             [channels["mask_bounds"]],
             block_dim=kernels.BLOCK_DIM,
             tiled=True,
@@ -241,5 +248,6 @@ class LightCullingPass(Pass):
 
     def bytes_moved(self) -> int:
         """Depth in, masks out; masks that come band by band are written, and counted, by the shading."""
-        depth = self.layout.pixels * 4
+        (buffer,) = depth_buffers(self.request, self.layout).values()
+        depth = self.layout.pixels * wp.types.type_size_in_bytes(buffer.dtype)
         return depth if culls_by_band(self.request, self.bands) else depth + self.writes()["mask_words"].count * 4

@@ -4,23 +4,30 @@ from __future__ import annotations
 
 import warp as wp
 
+from ..effects import called_for
 from ..kernels import resolve as kernels
 from ..kernels import structs
+from ..kernels.depth_encoding import DEPTH_CODECS
 from ..kernels.resolve import LAYER_NAMES
 from ..program import FIRST
 from ..resources import Resources
 from .base import Buffer, Pass, Request
 
-__all__ = ["ResolvePass", "gbuffer_buffers", "gbuffer_codec", "make_gbuffer", "needs_gbuffer"]
+__all__ = [
+    "ResolvePass", "depth_buffers", "depth_format", "gbuffer_buffers", "gbuffer_codec", "make_gbuffer", "needs_gbuffer",
+]  # fmt: skip
 
 LAYER_TYPES = {
     "normal": wp.vec3, "position": wp.vec3, "albedo": wp.vec3, "alpha": wp.float32, "instance_id": wp.int32,
     "semantic_id": wp.int32, "material_id": wp.int32, "triangle_id": wp.int32,
 }  # fmt: skip
 GBUFFER_FIELDS = {
+    "depth16": wp.uint16, "depth32": wp.uint32,
     "normal": wp.uint32, "normal_wide": wp.uint32, "albedo": wp.uint32, "extra": wp.uint32,
     "full_normal": wp.vec4, "full_albedo": wp.vec4, "full_extra": wp.vec4,
 }  # fmt: skip
+#: Effects that read linear depth themselves.
+DEPTH_READERS = ("ambient_visibility", "depth_of_field", "motion_blur")
 
 
 def needs_gbuffer(request: Request) -> bool:
@@ -34,6 +41,19 @@ def gbuffer_codec(request: Request) -> tuple[str, str, bool]:
     if settings.rung == "full":
         return ("full", "float32", request.features.extra)
     return ("compact", settings.normal, request.features.extra)
+
+
+def depth_format(request: Request) -> str:
+    """Format of the depth that lighting reads; without lighting nobody reads codes."""
+    settings = request.settings.gbuffer
+    return settings.depth if request.lit and settings.rung == "compact" else "float32"
+
+
+def depth_buffers(request: Request, layout: object) -> dict[str, Buffer]:
+    """The channel of depth that lighting reads."""
+    dtype = DEPTH_CODECS[depth_format(request)]
+    name = "depth" if dtype is wp.float32 else f"gbuffer_depth{8 * wp.types.type_size_in_bytes(dtype)}"
+    return {name: Buffer(dtype, max(layout.pixels, 1))}
 
 
 def gbuffer_buffers(request: Request, layout: object) -> dict[str, Buffer]:
@@ -72,6 +92,13 @@ class ResolvePass(Pass):
         """Whether more than depth is wanted."""
         return needs_gbuffer(self.request) or bool(self.layers)
 
+    @property
+    def linear(self) -> bool:
+        """Whether linear depth is wanted beside a depth of codes."""
+        coded = needs_gbuffer(self.request) and depth_format(self.request) != "float32"
+        asked = "depth" in self.request.outputs
+        return coded and (asked or any(called_for(self.request, name) for name in DEPTH_READERS))
+
     def called_for(self) -> str | None:
         """Some output shows a surface."""
         if self.request.lit:
@@ -86,7 +113,8 @@ class ResolvePass(Pass):
         if not needs_gbuffer(self.request):
             return "layers only"
         rung, normal, _ = gbuffer_codec(self.request)
-        return rung if rung == "full" else f"{rung}, {normal}"
+        depth = depth_format(self.request)
+        return rung if rung == "full" else f"{rung}, {normal}" + f", {depth}" * (depth != "float32")
 
     def reads(self) -> tuple[str, ...]:
         """Keys and pairs."""
@@ -96,10 +124,10 @@ class ResolvePass(Pass):
         """Depth, G-buffer, layers."""
         count = max(self.layout.pixels, 1)
         result = {name: Buffer(LAYER_TYPES[name], count) for name in self.layers}
-        if needs_gbuffer(self.request) or "depth" in self.request.outputs:
+        if self.linear or "depth" in self.request.outputs:
             result["depth"] = Buffer(wp.float32, count)
         if needs_gbuffer(self.request):
-            result |= gbuffer_buffers(self.request, self.layout)
+            result |= depth_buffers(self.request, self.layout) | gbuffer_buffers(self.request, self.layout)
             if self.request.features.emissive:
                 result["emission"] = Buffer(wp.vec3, count)
         return result
@@ -109,7 +137,13 @@ class ResolvePass(Pass):
         features = self.request.features
         codec = gbuffer_codec(self.request) if needs_gbuffer(self.request) else None
         self.kernel = kernels.make_resolve_kernel(
-            codec, self.layers, features.textured, features.colors, features.emissive and codec is not None
+            codec,
+            self.layers,
+            features.textured,
+            features.colors,
+            features.emissive and codec is not None,
+            depth_format(self.request),
+            self.linear,
         )
         self.gbuffer = make_gbuffer(resources)
         self.out = structs.Layers()

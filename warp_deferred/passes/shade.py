@@ -15,7 +15,7 @@ from ..shadow_maps import make_shadows, shadow_arguments, shadow_channels
 from .base import LIT_OUTPUTS, Buffer, Pass
 from .image import all_writes, float_image, make_image
 from .light_culling import Band, culls_by_band, fill_masks, make_masks, mask_bands, mask_words
-from .resolve import gbuffer_buffers, gbuffer_codec, make_gbuffer
+from .resolve import depth_buffers, depth_format, gbuffer_buffers, gbuffer_codec, make_gbuffer
 
 __all__ = ["ShadePass"]
 
@@ -47,12 +47,15 @@ class ShadePass(Pass):
         return f"{', '.join(names)} asked for" if names else None
 
     def rung(self) -> str:
-        """Radiance format."""
-        return "float32" if float_image(self.request) else "half"
+        """Radiance format, and what else is not at its most exact."""
+        shade = self.request.settings.shade
+        sums = ["half sums"] * (shade.accumulation == "half")
+        rounding = [shade.arithmetic] * (shade.arithmetic != "precise")
+        return ", ".join(["float32" if float_image(self.request) else "half", *sums, *rounding])
 
     def reads(self) -> tuple[str, ...]:
         """G-buffer, masks, lights."""
-        names = ["depth", *gbuffer_buffers(self.request, self.layout)]
+        names = [*depth_buffers(self.request, self.layout), *gbuffer_buffers(self.request, self.layout)]
         if self.request.features.emissive:
             names.append("emission")
         if self.request.features.kinds:
@@ -93,6 +96,9 @@ class ShadePass(Pass):
             outputs,
             "ambient_visibility" in self.reads(),
             shadow_arguments(self.request),
+            depth_format(self.request),
+            self.request.settings.shade.accumulation,
+            self.request.settings.shade.arithmetic,
         )
         self.shadows = make_shadows(resources, self.request)
         self.gbuffer = make_gbuffer(resources)
@@ -139,9 +145,8 @@ class ShadePass(Pass):
 
     def bytes_moved(self) -> int:
         """G-buffer in, radiance out; and the masks that are filled here."""
-        read = 4 + sum(
-            wp.types.type_size_in_bytes(b.dtype) for b in gbuffer_buffers(self.request, self.layout).values()
-        )
+        buffers = depth_buffers(self.request, self.layout) | gbuffer_buffers(self.request, self.layout)
+        read = sum(wp.types.type_size_in_bytes(b.dtype) for b in buffers.values())
         read += 4 * ("ambient_visibility" in self.reads())
         written = sum(wp.types.type_size_in_bytes(b.dtype) for b in all_writes(self).values())
         masks = len(self.layout.tiles) * mask_words(self.request)[0] * 4 if self.culls else 0
