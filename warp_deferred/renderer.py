@@ -346,8 +346,7 @@ class Renderer:
             self._device_scene.stage_transforms(self.scene.transforms)
         while len(self._plans) >= MAX_PLANS:
             self._plans.pop(next(iter(self._plans)))
-        others = list(self._plans.values())
-        self._plans[request] = Plan(request, self._device_scene, lights, progress, others)
+        self._plans[request] = Plan(request, self._device_scene, lights, progress, [*self._plans.values()])
         return self._plans[request]
 
     def _update(self) -> None:
