@@ -18,6 +18,8 @@ from warp_deferred.sampling import points, sample_table
 AVERAGED = ("color", "diffuse", "specular", "alpha")
 DATA = tuple(name for name in LAYERS if name not in AVERAGED)
 SIZE = (64, 48)
+#: Numbers of samples that are rungs.
+COUNTS = (2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64)
 
 
 def settings_of(rung, *more):
@@ -61,7 +63,7 @@ def mean(frames, name):
     return total / np.float32(len(frames))
 
 
-@pytest.mark.parametrize("rung", ["samples_4", "samples_16"])
+@pytest.mark.parametrize("rung", ["samples_3", "samples_4", "samples_16"])
 def test_the_image_is_the_mean_of_jittered_frames(rung, device):
     scene = gallery()
     cameras = [scene.camera, scene.camera.replace(position=(0.9, 1.7, 4.0))]
@@ -297,7 +299,7 @@ def test_a_pass_of_ones_own_runs_in_its_scope(device):
 
 
 def test_points_are_spread_over_pixels_lenses_and_shutters():
-    for count in (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64, 256):
+    for count in (*COUNTS, 256):
         p = points(count)
         assert p.shape == (count, 5) and np.array_equal(p, points(count))
         for axis in range(5):
@@ -313,7 +315,7 @@ def test_points_are_spread_over_pixels_lenses_and_shutters():
 
 
 def test_jitters_lie_on_the_grid_that_vertices_are_snapped_to():
-    for count in (2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64):
+    for count in COUNTS:
         steps = (points(count)[:, :2] - 0.5) * 256.0
         assert np.array_equal(steps, np.round(steps))
 
@@ -331,7 +333,7 @@ def test_more_points_leave_less_of_an_edge():
             sums.append(np.mean((own - exact) ** 2))
         return np.sqrt(np.mean(sums))
 
-    counts = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 40, 48, 64)
+    counts = (1, *COUNTS)
     found = [error(count) for count in counts]
     # All but the step from 16 to 20, where the permutation that was chosen is the better one.
     assert all(b < 1.1 * a for a, b in itertools.pairwise(found))
