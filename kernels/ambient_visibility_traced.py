@@ -2,10 +2,11 @@
 
 Rays follow one cosine-weighted low-discrepancy set (Hammersley points, mapped by r = sqrt(u), Malley's method: Pharr,
 Jakob and Humphreys 2023, "Physically Based Rendering", 13.6.3) that each pixel turns about its normal by an angle of
-its own, another one in each of its samples, and end at the radius. The mean over rays is the share of ambient light that arrives. They start a bias above
-the surface, lest it blocks itself where normals are interpolated or large triangles are rounded. Where the viewer does
-not see that point something is in between, such as the floor under a skirting's chamfer, behind which all would be
-open: rays then start nearer, down to a 64th of the bias, as far up as the viewer sees. Block size 64, one thread a
+its own, another one in each of its samples, and end at the radius. The mean over rays is the share of ambient light
+that arrives. They start a bias above the surface, lest it blocks itself where normals are interpolated or large
+triangles are rounded. Where the viewer does not see that point something is in between, such as the floor under a
+skirting's chamfer, behind which all would be open: rays then start nearer, down to a 64th of the bias, as far up as the
+viewer sees. Block size 64, one thread a
 pixel; deterministic on one device. CPU and CUDA differ where a ray grazes an edge: by 1 / rays a pixel.
 """
 

@@ -77,8 +77,9 @@ class AntiAliasingSettings(Record):
     """
 
     rung: Literal[
-        "off", "fxaa", "samples_2", "samples_3", "samples_4", "samples_5", "samples_6", "samples_8", "samples_10",
-        "samples_12", "samples_16", "samples_20", "samples_24", "samples_32", "samples_40", "samples_48", "samples_64",
+        "off", "fxaa", "samples_2", "samples_3", "samples_4", "samples_5", "samples_6", "samples_7", "samples_8",
+        "samples_10", "samples_12", "samples_14", "samples_16", "samples_20", "samples_24", "samples_28", "samples_32",
+        "samples_40", "samples_48", "samples_56", "samples_64",
     ] = "off"  # fmt: skip
     """fxaa: one pass over the picture, 8 bytes a pixel, and 4 of memory; edges along an axis stay sharp, details that
     the pixels' centres miss stay missing. samples_N: N points in every pixel, well spread; time grows by what precedes

@@ -25,7 +25,7 @@ __all__ = ["lens_samples", "pixel_samples", "points", "sample_count", "sample_ta
 #: Degree, coefficients and first direction numbers of the axes after the first, which is the bit-reversed count.
 JOE_KUO = ((1, 0, (1,)), (2, 1, (1, 3)), (3, 1, (1, 3, 1)), (3, 2, (1, 1, 1)))
 #: Seed of the pixel's permutations by number of points; where there is none, 0 is.
-PIXEL_SEEDS = {4: 8, 5: 20, 6: 106, 8: 167, 10: 106, 12: 146, 16: 97, 24: 31, 32: 18, 40: 36}
+PIXEL_SEEDS = {4: 8, 5: 20, 6: 106, 7: 34, 8: 167, 10: 106, 12: 146, 14: 6, 16: 97, 24: 31, 28: 55, 32: 18, 40: 36}
 #: Places within a pixel that vertices are snapped to, on each axis.
 SUBPIXELS = 256
 
