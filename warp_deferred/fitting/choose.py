@@ -142,6 +142,12 @@ class Chooser:
             ms[index], error[index] = v.ms.p95, v.error
         return ms, error
 
+    def buyable(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and errors as `corrected` has them, without the frames that did not hold."""
+        ms, error = self.corrected()
+        ms[list(self._ruled_out)] = np.inf
+        return ms, error
+
     def swapped(self, chosen: Verified, other: Choice) -> tuple[float, float]:
         """What another frame takes more than a verified one [ms], and what its picture is off by, corrected by it."""
         ms, error = self.market.predict(other)

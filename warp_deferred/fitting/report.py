@@ -205,7 +205,7 @@ def left_out(chooser: Chooser, chosen: Verified) -> tuple[Purchase, ...]:
 
 def next_purchase(chooser: Chooser, chosen: Verified) -> str:
     """What `NEXT_MS` more would buy, and if that is nothing, what the next purchase is and what it costs."""
-    ms, error = chooser.corrected()
+    ms, error = chooser.buyable()
     # Beyond the budget; where an error was asked for, beyond what it took.
     spent = chosen.ms.p95
     if chooser.budget_ms is not None and chooser.max_error is None:
@@ -230,10 +230,15 @@ def unspent(chooser: Chooser, chosen: Verified) -> str:
     if chooser.budget_ms is None or chooser.max_error is not None or spent >= SPENT * chooser.budget_ms:
         return ""
     left = f"{1.0 - spent / chooser.budget_ms:.0%} of the budget is left"
-    ms, error = chooser.corrected()
+    ms, error = chooser.buyable()
     index = int(np.argmin(np.where(error < (1.0 - LITTLE) * chosen.error, ms, np.inf)))
     if not error[index] < (1.0 - LITTLE) * chosen.error:
         return f"{left}: nothing that is for sale is nearer to the reference"
+    times = chosen.unseen or chosen.ms
+    if times.p95 >= SPENT * chooser.budget_ms:
+        return f"{left} by the median, for frames vary: 95 % of them take up to {times.p95:.3g} ms"
+    if ms[index] <= chooser.budget_ms:
+        return f"{left}: {_change(chooser, chosen, index)} may fit, too, and was not looked at"
     between = f"between {spent:.3g} and {ms[index]:.3g} ms"
     return f"{left}: nothing for sale {between} takes {LITTLE:.1%} or more off the error"
 
