@@ -152,7 +152,11 @@ class EffectCase:
         return dataclasses.replace(self, source=self.small or self.source, settings=self.settings + self.small_settings)
 
 
-_SCALED = {"size": (480, 270), "centre": (0.22, 0.42), "zoom": 2}
+_SCALED = {"size": (480, 270), "centre": (0.22, 0.42), "zoom": 2, "leaves_out": ("five_sixths",)}
+#: Numbers of samples between those that are shown: they cost in proportion.
+_BETWEEN = tuple(
+    f"samples_{n}" for n in (2, 3, 5, 6, 7, 8, 10, 12, 14, 20, 24, 28, 32, 40, 48, 56)
+)  # fmt: skip
 #: The case of each effect, in the order of the page.
 EFFECT_CASES: dict[str, EffectCase] = {
     case.name: case
@@ -211,7 +215,15 @@ EFFECT_CASES: dict[str, EffectCase] = {
             sheet_centre=(0.36, 0.45),
             zoom=2,
         ),
-        EffectCase("anti_aliasing", _HALL, "samples_64", small=_HILLS, centre=(0.22, 0.42), zoom=3),
+        EffectCase(
+            "anti_aliasing",
+            _HALL,
+            "samples_64",
+            small=_HILLS,
+            centre=(0.22, 0.42),
+            zoom=3,
+            leaves_out=_BETWEEN,
+        ),
         EffectCase("scale", _HALL, "off", small=_HILLS, **_SCALED),
         EffectCase(
             "scale_samples_16",

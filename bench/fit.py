@@ -1,12 +1,14 @@
 """Bench `fit`: how long a fit takes, whether its choice keeps the budget, and how near it comes to the best there is.
 
-The best is found by trying: on each scene every combination of rungs that the scene calls for is rendered and timed as
-a fit times frames, but for rungs that trace rays and frames far past the largest budget. Formats, of the G-buffer and
-of radiance, are tried at their ends, both cheap or both at their reference: their errors are the smallest of all
-ladders (docs/accuracy.md). All errors of this bench, those of the fit's choices among them, are taken against one
-picture, whose ladders trace more rays than the fit's own reference does. A combination counts as possible in a budget
-where its median keeps it, while a fit's choice must keep it in 19 of 20 frames: the comparison is in favour of the
-trying.
+The best is found by trying: on each scene combinations of the rungs that the scene calls for, all numbers of samples
+and sizes among them, are rendered and timed as a fit times frames, but for rungs that trace rays and frames far past
+the largest budget. There are thousands of those, so the `MOST_TRIED` are taken that are predicted to come nearest to
+the least error of any in their time; rows say of how many, and how much worse than that the last one was predicted:
+what a better one must have been mistaken for. Formats, of the G-buffer and of radiance, are tried at their ends, both
+cheap or both at their reference: their errors are the smallest of all ladders (docs/accuracy.md). All errors of this
+bench, those of the fit's choices among them, are taken against one picture, whose ladders trace more rays than the
+fit's own reference does. A combination counts as possible in a budget where its median keeps it, while a fit's choice
+must keep it in 19 of 20 frames: the comparison is in favour of the trying.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ import dataclasses
 import itertools
 import statistics
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import warp as wp
@@ -51,7 +54,7 @@ class Case:
 
 CASES = (Case("hundred_lights", (0.5, 1.0, 2.0), (1.0, 3.0)), Case("shadows", (1.0, 2.0)))
 #: Rays and samples of the picture that errors are taken against.
-JUDGE_COUNTS = {"ambient_visibility": 64, "shadow": 16}
+JUDGE_COUNTS = {"ambient_visibility": 16, "shadow": 16}
 #: A quick run judges by these.
 QUICK_COUNTS = {"ambient_visibility": 4, "shadow": 4}
 #: Frames of each combination that are timed.
@@ -60,6 +63,8 @@ FRAMES = 5
 FORMATS = ("gbuffer", "shade")
 #: Combinations past so many times the largest budget, as predicted, are not tried.
 PAST = 1.5
+#: Combinations tried on a scene, at most; in a quick run.
+MOST_TRIED, QUICK_TRIED = 600, 12
 #: Settings of a quick run: little is for sale.
 QUICK = ("gbuffer.normal=oct24", "shade.radiance=half", "scale.rung=off", "light_culling.tile_size=16")
 
@@ -90,7 +95,8 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[s
             note(f"fit of {case.scene} to {budget:g} ms")
             fits.append(bench.fits(budget))
         note(f"every combination on {case.scene}")
-        judged = bench.judge([found[-1] for found in fits], budgets, QUICK_COUNTS if quick else JUDGE_COUNTS)
+        counts, most = (QUICK_COUNTS, QUICK_TRIED) if quick else (JUDGE_COUNTS, MOST_TRIED)
+        judged = bench.judge([found[-1] for found in fits], budgets, counts, most)
         for budget, found, outcome in zip(budgets, fits, judged, strict=True):
             head = {"scene": case.scene, "source": source, "width": size[0], "height": size[1], "budget_ms": budget}
             rows.append(head | _seconds(*found) | _choice(found[-1]) | outcome)
@@ -125,16 +131,19 @@ class _Bench:
         with tempfile.TemporaryDirectory() as folder:
             return call(folder), call(folder), call(False)
 
-    def judge(self, fits: Sequence[Fit], budgets: Sequence[float], counts: dict[str, int]) -> list[dict[str, Any]]:
-        """Try every combination; what each fit's choice is off by, and the best that its budget allows."""
-        probe = self._probe()
+    def judge(
+        self, fits: Sequence[Fit], budgets: Sequence[float], counts: dict[str, int], most: int
+    ) -> list[dict[str, Any]]:
+        """Try combinations; what each fit's choice is off by, and the best that its budget allows."""
+        begun, probe = time.perf_counter(), self._probe()
         surveyor = Surveyor(probe, self.settings, held_fields(self.settings), max(budgets), None)
         with probe.restoring():
             survey = surveyor.measure()
             own = {name: count for name, count in counts.items() if name in survey.counts}
             truth = surveyor.truth(dataclasses.replace(survey, whole_counts=own, whole_samples=survey.samples))
             tried = []
-            for choice in combinations(survey, PAST * max(budgets)):
+            choices, ratios = combinations(survey, PAST * max(budgets))
+            for choice in choices[:most]:
                 surveyor.look("", choice)
                 error = probe.rmse(truth)
                 tried.append((statistics.median(probe.frames(1, FRAMES + 1)[1:]), error, surveyor.at(choice)))
@@ -143,30 +152,46 @@ class _Bench:
             for found in fits:
                 probe.look(found.settings)
                 judged.append(probe.rmse(truth))
-        return [_outcome(error, budget, tried) for error, budget in zip(judged, budgets, strict=True)]
+        row = {
+            "tried.count": len(tried), "tried.of": len(choices), "tried.ratio": round(ratios[len(tried) - 1], 3),
+            "tried.s": round(time.perf_counter() - begun, 1),
+        }  # fmt: skip
+        return [row | _outcome(error, budget, tried) for error, budget in zip(judged, budgets, strict=True)]
 
 
-def combinations(survey: Survey, most_ms: float) -> Iterator[Choice]:
-    """Every combination of rungs, but for rungs whose price is an estimate and frames past a time as predicted."""
+def combinations(survey: Survey, most_ms: float) -> tuple[list[Choice], list[float]]:
+    """Every combination of rungs, but for rungs whose price is an estimate and frames past a time as predicted.
+
+    Returns:
+        The combinations, and how many times the least error of any that takes no longer each one's is, as predicted: in
+        that order, least first.
+    """
     market = Market(survey.grid, survey.ladders)
     single = [x for x in survey.ladders if x.name not in FORMATS]
     formats = [x for x in survey.ladders if x.name in FORMATS]
     ends = [{x.name: x.offers[end].rung for x in formats} for end in ((0, -1) if formats else (0,))]
     offers = [[offer.rung for offer in x.offers if not offer.estimated] for x in single]
+    found = []
     for (scale, rung), end, *rungs in itertools.product(survey.grid.errors, ends, *offers):
         choice = {"scale": scale, "anti_aliasing": rung, **end}
         choice |= {x.name: name for x, name in zip(single, rungs, strict=True)}
-        if market.predict(choice)[0] <= most_ms:
-            yield choice
+        ms, error = market.predict(choice)
+        if ms <= most_ms:
+            found.append((ms, error, choice))
+    found.sort(key=lambda one: one[:2])
+    least = itertools.accumulate((error for _, error, _ in found), min)
+    rated = [(error / max(low, 1e-9), choice) for (_, error, choice), low in zip(found, least, strict=True)]
+    rated.sort(key=lambda one: one[0])
+    return [choice for _, choice in rated], [ratio for ratio, _ in rated]
 
 
 def _outcome(error: float, budget: float, tried: Sequence[tuple[float, float, Settings]]) -> dict[str, Any]:
     """What a choice is off by beside the best of those tried that keep the budget."""
     possible = [found for found in tried if found[0] <= budget]
-    row: dict[str, Any] = {"tried.count": len(tried), "error.judged": float(f"{error:.4g}")}
+    row: dict[str, Any] = {"error.judged": float(f"{error:.4g}")}
     if possible:
         ms, best, settings = min(possible, key=lambda found: found[:2][::-1])
-        row |= {"best.error": float(f"{best:.4g}"), "best.frame_ms": round(ms, 5)}
+        row |= {"best.error": float(f"{best:.4g}"), "best.frame_ms": round(ms, 5), "best.share": round(ms / budget, 4)}
         row["best.bought"] = " ".join(assignments(settings))
         row["error.ratio"] = round(error / best, 4) if best > 0.0 else 1.0
     return row
@@ -188,5 +213,6 @@ def _choice(found: Fit) -> dict[str, Any]:
         "frame.ms_p5": round(found.ms.p5, 5), "frame.ms_p95": round(found.ms.p95, 5),
         "frame.repeats": found.ms.count, "held.share": round(found.held, 4), "met": found.met,
         "predicted.frame_ms": round(found.predicted_ms, 5), "error.predicted": float(f"{found.predicted_error:.4g}"),
-        "error.rmse": float(f"{found.error:.4g}"), "next": found.next,
+        "error.rmse": float(f"{found.error:.4g}"), "next": found.next, "unspent": found.unspent,
+        "spent.share": round(found.ms.median / found.budget_ms, 4),
     }  # fmt: skip

@@ -171,6 +171,9 @@ def _lens(**fields: float) -> Callable[[Scene], None]:
     return change
 
 
+_SAMPLES = ("off", "fxaa", *(f"samples_{2**k}" for k in range(1, 7)))
+
+
 def _casting(scene: Scene) -> None:
     """Let directional lights cast where no light does."""
     lights = scene.lights
@@ -224,7 +227,9 @@ def _all() -> tuple[Ladder, ...]:
                ("corner", *_FOUR), "visibility", quarter=("ambient_visibility.rays=64",)),
         Ladder("bloom", "Bloom", _rungs("bloom"), "exact", ("glow", "many_lights", "hundred_lights", "shadows"),
                "scattered_light", fixed=("bloom.threshold=0", "bloom.fireflies=0"), change=_lens(bloom=0.2)),
-        Ladder("anti_aliasing", "Anti-aliasing", _rungs("anti_aliasing"), "samples_64",
+        # Numbers of samples between powers of two cost in proportion.
+        Ladder("anti_aliasing", "Anti-aliasing",
+               tuple(rung for rung in _rungs("anti_aliasing") if rung.name in _SAMPLES), "samples_64",
                ("hundred_lights", "many_lights", "spheres_50k", "shadows"), "display_light",
                quarter=("anti_aliasing.rung=samples_16",)),
         Ladder("scale", "Rendered size", _rungs("scale", last="off"), "off",

@@ -2,10 +2,11 @@
 
 Rays follow one cosine-weighted low-discrepancy set (Hammersley points, mapped by r = sqrt(u), Malley's method: Pharr,
 Jakob and Humphreys 2023, "Physically Based Rendering", 13.6.3) that each pixel turns about its normal by an angle of
-its own, and end at the radius. The mean over rays is the share of ambient light that arrives. They start a bias above
-the surface, lest it blocks itself where normals are interpolated or large triangles are rounded. Where the viewer does
-not see that point something is in between, such as the floor under a skirting's chamfer, behind which all would be
-open: rays then start nearer, down to a 64th of the bias, as far up as the viewer sees. Block size 64, one thread a
+its own, another one in each of its samples, and end at the radius. The mean over rays is the share of ambient light
+that arrives. They start a bias above the surface, lest it blocks itself where normals are interpolated or large
+triangles are rounded. Where the viewer does not see that point something is in between, such as the floor under a
+skirting's chamfer, behind which all would be open: rays then start nearer, down to a 64th of the bias, as far up as the
+viewer sees. Block size 64, one thread a
 pixel; deterministic on one device. CPU and CUDA differ where a ray grazes an edge: by 1 / rays a pixel.
 """
 
@@ -18,7 +19,7 @@ import warp as wp
 from .bilateral import final_visibility
 from .encoding import make_gbuffer_codec
 from .hemisphere import tangent_of
-from .intrinsics import load_vec4, load_vec4i
+from .intrinsics import float_bits, load_vec4, load_vec4i
 from .projection import pixel_in_block, pixel_index, relative_position, view_direction
 from .ray_scene import RayScene, make_blocked
 from .structs import MODULE_OPTIONS, PIXEL_BLOCK_AREA, GBuffer, View
@@ -40,14 +41,15 @@ HASH_ROW = wp.constant(wp.uint32(16411))
 HASH_SCALE = wp.constant(wp.uint32(747796405))
 HASH_SHIFT = wp.constant(wp.uint32(2891336453))
 HASH_WORD = wp.constant(wp.uint32(277803737))
+HASH_SAMPLE = wp.constant(wp.uint32(2654435769))
 #: (codec,): what CI compiles.
 VARIANTS = [(("compact", "oct24", True),), (("full", "float32", True),)]
 
 
 @wp.func
-def pixel_hash(x: wp.int32, y: wp.int32):
+def pixel_hash(x: wp.int32, y: wp.int32, sample: wp.uint32):
     """32 bits that look random, of a pixel (Jarzynski and Olano 2020, "Hash Functions for GPU Rendering", pcg)."""
-    state = (wp.uint32(x) + wp.uint32(y) * HASH_ROW) * HASH_SCALE + HASH_SHIFT
+    state = (wp.uint32(x) + wp.uint32(y) * HASH_ROW + sample) * HASH_SCALE + HASH_SHIFT
     word = ((state >> ((state >> wp.uint32(28)) + wp.uint32(4))) ^ state) * HASH_WORD
     return (word >> wp.uint32(22)) ^ word
 
@@ -108,7 +110,11 @@ def make_ambient_visibility_traced_kernel(codec: tuple):
                 lift = lift * 0.25
             tries += 1
         start = wp.where(hidden, highest, surface + n * lift)
-        angle = wp.float32(pixel_hash(x, y)) * TURN
+        # Samples of one pixel turn their rays differently, so that their mean has as many as all of them; 0 without.
+        shift_x = float_bits(view.center[0] - 0.5 * wp.float32(view.width))
+        shift_y = float_bits(view.center[1] - 0.5 * wp.float32(view.height))
+        sample = shift_x * HASH_SAMPLE + shift_y * HASH_WORD
+        angle = wp.float32(pixel_hash(x, y, sample)) * TURN
         cosine, sine = wp.cos(angle), wp.sin(angle)
         tangent = tangent_of(n)
         across = wp.cross(n, tangent)

@@ -280,8 +280,8 @@ def test_compiles_of_several_cases_are_told_apart():
 
 
 def test_a_compile_that_fails_says_why():
-    with pytest.raises(Error, match=r"compiling the kernels of anti_aliasing: expected times, got .*samples_5"):
-        effect_compile.compile_times("anti_aliasing", "cpu", ["samples_5"], Settings())
+    with pytest.raises(Error, match=r"compiling the kernels of anti_aliasing: expected times, got .*samples_9"):
+        effect_compile.compile_times("anti_aliasing", "cpu", ["samples_9"], Settings())
 
 
 # ---- strips and page

@@ -112,8 +112,14 @@ def test_offers_that_another_beats_are_dropped():
 
 
 def test_times_that_were_not_measured_lie_on_a_line():
+    # 0.2 ms beside the samples, which a frame of one does without.
+    grid = Grid({("off", 1): 0.8, ("off", 4): 3.4, ("off", 16): 13.0, ("half", 1): 0.5, ("half", 4): 1.85}, {})
+    assert grid.time("off", 16) == 13.0 and grid.time("off", 2) == pytest.approx(0.2 + 2 * 0.8)
+    assert grid.time("off", 8) == pytest.approx(0.2 + 8 * 0.8) and grid.time("off", 64) == pytest.approx(51.4)
+    # At a smaller size a quarter of that, and the rest by samples.
+    assert grid.time("half", 8) == pytest.approx(0.05 + 2 * 1.8)
     grid = Grid({("off", 1): 1.0, ("off", 4): 3.4}, {})
-    assert grid.time("off", 16) == pytest.approx(1.0 + 15 * 0.8)
+    assert grid.time("off", 16) == pytest.approx(4 * 3.4)
     assert grid.time("half", 1) == pytest.approx(0.25) and Grid({("off", 1): 2.0}, {}).time("off", 4) == 8.0
 
 

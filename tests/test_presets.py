@@ -12,7 +12,7 @@ from bench import fit, fit_tables, presets, record, tables
 from bench.__main__ import main
 from bench.ladders import LADDERS
 from warp_deferred.errors import LoadError
-from warp_deferred.fitting.model import Grid, LadderPrices, Offer
+from warp_deferred.fitting.model import Grid, LadderPrices, Market, Offer
 from warp_deferred.loading import load
 from warp_deferred.presets import PRESETS
 
@@ -171,14 +171,19 @@ def test_fits_are_told_in_a_table():
     row = {
         "scene": "hundred_lights", "budget_ms": 1.0, "frame.ms": 0.957, "frame.ms_p5": 0.95, "frame.ms_p95": 0.96,
         "frame.repeats": 60, "held.share": 0.9833, "error.rmse": 0.0301, "error.judged": 0.0302, "error.ratio": 1.04,
-        "best.error": 0.029, "tried.count": 208, "first.s": 3.5, "first.load_s": 0.4, "first.compile_s": 61.0,
+        "best.error": 0.029, "best.share": 0.99, "spent.share": 0.957, "unspent": "", "tried.count": 208,
+        "tried.of": 2900, "tried.ratio": 1.31, "tried.s": 21.4,
+        "first.s": 3.5, "first.load_s": 0.4, "first.compile_s": 61.0,
         "first.compiled": 43, "fit.s": 2.1, "fit.frames": 30, "cached.s": 0.9, "bought": "scale.rung=half",
         "best.bought": "", "next": "0.1 ms more would buy nothing",
     }  # fmt: skip
     table = fit_tables.fit_table({"device": "NVIDIA H200", "quick": False, "rows": [row]})
-    assert "≤ 1.15 ✓" in table and "≤ 3 ✗" in table and "98% of 60" in table and "96%" in table
+    assert "208 combinations of 2900, the others predicted to be 1.31 times the least error" in table
+    assert "≤ 1.15 ✓" in table and "≤ 0.1 ✓" in table and "≤ 3 ✗" in table and "98% of 60" in table and "96%" in table
     assert "the defaults" in table and "`scale.rung=half`" in table
     lost = {k: v for k, v in row.items() if not k.startswith("best.") and k != "error.ratio"}
+    lost |= {"spent.share": 0.67, "unspent": "33% of the budget is left: nothing for sale between 0.67 and 1.04 ms"}
+    assert "| nothing for sale |" in fit_tables.fit_table({"device": "NVIDIA H200", "quick": False, "rows": [lost]})
     assert "none fits" in fit_tables.fit_table({"device": "NVIDIA H200", "quick": False, "rows": [lost]})
 
 
@@ -189,11 +194,14 @@ def test_every_combination_is_tried_but_for_estimates_and_what_is_far_past_the_b
     ladders = (LadderPrices("ambient_visibility", "sample", offers), codecs, shade)
     grid = Grid({("off", 1): 1.0, ("off", 4): 4.0}, {("off", "off"): 0.1, ("off", "samples_4"): 0.05})
     known = SimpleNamespace(grid=grid, ladders=ladders)
-    tried = list(fit.combinations(known, 5.0))
+    tried, ratios = fit.combinations(known, 5.0)
+    # Those come first that nothing is predicted to beat in their time.
+    assert ratios == sorted(ratios) and ratios[0] == 1.0 and ratios[-1] > 1.0
+    assert tried[0] == min(tried, key=lambda c: Market(grid, ladders).predict(c)[0])
     # Formats at their ends, and both together.
     assert {(c["gbuffer"], c["shade"]) for c in tried} == {("oct24", "half"), ("full", "float32")}
     assert len(tried) == 8 and {c["ambient_visibility"] for c in tried} == {"off", "gtao"}
-    cheap = [c["anti_aliasing"] for c in fit.combinations(known, 3.7)]
+    cheap = sorted(c["anti_aliasing"] for c in fit.combinations(known, 3.7)[0])
     assert cheap == ["off"] * 4 + ["samples_4"] * 2
 
 
@@ -202,6 +210,6 @@ def test_the_best_is_the_nearest_picture_that_keeps_the_budget():
     tried = [(0.5, 0.04, half), (0.9, 0.02, plain), (1.1, 0.01, half)]
     row = fit._outcome(0.025, 1.0, tried)
     assert (row["best.error"], row["best.frame_ms"], row["best.bought"]) == (0.02, 0.9, "")
-    assert row["error.ratio"] == 1.25 and row["tried.count"] == 3
+    assert row["error.ratio"] == 1.25 and row["best.share"] == 0.9
     assert fit._outcome(0.05, 0.6, tried)["best.bought"] == "scale.rung=half"
     assert "best.error" not in fit._outcome(0.05, 0.1, tried)

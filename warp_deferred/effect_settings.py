@@ -65,21 +65,25 @@ class AntiAliasingSettings(Record):
 
     Share of the error of `off` that is left in `display`, against 256 samples, at most:
 
-    | | fxaa | samples_4 | samples_16 | samples_64 |
-    |---|---|---|---|---|
-    | straight edges of any slope, root mean square of linear light | 0.7 | 0.45 | 0.2 | 0.1 |
-    | the same, mean FLIP | 0.78 | 0.57 | 0.32 | 0.2 |
-    | built-in scenes, root mean square of linear light | 0.95 | 0.6 | 0.3 | 0.15 |
-    | the same, mean FLIP | 1.3 | 0.7 | 0.43 | 0.27 |
+    | | fxaa | samples_2 | samples_4 | samples_8 | samples_16 | samples_32 | samples_64 |
+    |---|---|---|---|---|---|---|---|
+    | straight edges of any slope, root mean square of linear light | 0.7 | 0.75 | 0.45 | 0.3 | 0.2 | 0.14 | 0.1 |
+    | the same, mean FLIP | 0.78 | 0.75 | 0.57 | 0.42 | 0.32 | 0.24 | 0.2 |
+    | built-in scenes, root mean square of linear light | 0.95 | 0.8 | 0.6 | 0.4 | 0.3 | 0.2 | 0.15 |
+    | the same, mean FLIP | 1.3 | 0.85 | 0.7 | 0.5 | 0.43 | 0.32 | 0.27 |
 
     FLIP grows like the error to the power of 0.7. Above 1: fxaa takes fine details for stairs and softens them, so
     that pictures full of them look smoother, but not more like the truth.
     """
 
-    rung: Literal["off", "fxaa", "samples_4", "samples_16", "samples_64"] = "off"
+    rung: Literal[
+        "off", "fxaa", "samples_2", "samples_3", "samples_4", "samples_5", "samples_6", "samples_7", "samples_8",
+        "samples_10", "samples_12", "samples_14", "samples_16", "samples_20", "samples_24", "samples_28", "samples_32",
+        "samples_40", "samples_48", "samples_56", "samples_64",
+    ] = "off"  # fmt: skip
     """fxaa: one pass over the picture, 8 bytes a pixel, and 4 of memory; edges along an axis stay sharp, details that
     the pixels' centres miss stay missing. samples_N: N points in every pixel, well spread; time grows by what precedes
-    the picture, memory does not."""
+    the picture, in proportion to N, and memory does not."""
 
 
 class BloomSettings(Record):
@@ -188,18 +192,22 @@ class ScaleSettings(Record):
     output has a value for each rendered pixel, which is another number of pixels, and is refused. Settings in pixels
     (`blur.sigma_px`, light tiles) mean rendered ones. A uniform picture stays as it is to the bit, and no pixel leaves
     the range of the four rendered ones around it. Bound against `off`, filter `edge`, for pictures of 240 x 160 and
-    more: RMSE of at most 12 codes at two_thirds and 18 at half with `anti_aliasing.rung=samples_16`. Without
-    anti-aliasing the two pictures are jagged in different places, and nothing is promised.
+    more: RMSE of at most 10 codes at five_sixths, 12 at two_thirds and 18 at half with
+    `anti_aliasing.rung=samples_16`. Without anti-aliasing the two pictures are jagged in different places, and nothing
+    is promised.
     """
 
-    rung: Literal["off", "half", "two_thirds"] = "off"
-    """Rendered share of each side: half is a quarter of the pixels, two_thirds four ninths of them, off all."""
+    rung: Literal["off", "half", "two_thirds", "five_sixths"] = "off"
+    """Rendered share of each side: half is a quarter of the pixels, two_thirds four ninths of them, five_sixths seven
+    tenths, off all."""
     filter: Literal["edge", "nearest"] = "edge"
     """edge: 16 pixels weighed along the edges they show; nearest: the pixel below, as debug views always do."""
 
     def rendered(self, length: int) -> int:
         """Rendered pixels of a side of that many shown ones."""
-        return {"off": length, "half": -(-length // 2), "two_thirds": -(-2 * length // 3)}[self.rung]
+        parts = {"off": (1, 1), "half": (1, 2), "two_thirds": (2, 3), "five_sixths": (5, 6)}
+        of, whole = parts[self.rung]
+        return -(-of * length // whole)
 
 
 class DepthOfFieldSettings(Record):
@@ -233,7 +241,7 @@ class DepthOfFieldSettings(Record):
     power: float | None = Field(None, ge=0.0, le=1e6)
     """Share of the blurred copy: power * |z - f| / z, at most 1; 0 to 1e6. None: 1 is reached where the lens's circle
     has the blur's radius. Of plane_lerp; a camera without an aperture stays sharp."""
-    samples: Literal[16, 64, 256] = 64
+    samples: Literal[4, 8, 16, 32, 64, 128, 256] = 64
     """Points of the lens. Of lens_samples; time grows with it, memory does not."""
 
 
@@ -261,5 +269,5 @@ class MotionBlurSettings(Record):
     """Longest trail [px], 1 to 128; longer ones are drawn this long. Of velocity_gather."""
     taps: int = Field(24, ge=4, le=64)
     """Taps along a trail, at most, 4 to 64: one a pixel while it is shorter. Of velocity_gather."""
-    samples: Literal[16, 64, 256] = 64
+    samples: Literal[4, 8, 16, 32, 64, 128, 256] = 64
     """Times within the shutter's. Of shutter_samples; time grows with it, memory does not."""

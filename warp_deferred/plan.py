@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import math
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -58,6 +58,9 @@ UNIT = wp.types.vector(length=32, dtype=wp.float64)
 class Plan:
     """A frame's passes, buffers and recorded launches for one request.
 
+    Tables of where views lie, and the host's copies of what it uploads, are shared with other plans of the scene whose
+    views lie alike.
+
     Attributes:
         request: What it was built for.
         layout: Where the views lie.
@@ -79,9 +82,12 @@ class Plan:
         scene: DeviceScene,
         lights: Callable[[], LightStore],
         progress: Callable[[str, int, int], None] | None = None,
+        others: Sequence[Plan] = (),
     ) -> None:
         self.request = request
-        self.layout = ViewLayout(request.sizes, request.settings.light_culling.tile_size)
+        tile_size = request.settings.light_culling.tile_size
+        alike = (p.layout for p in others if p.layout.sizes == request.sizes and p.layout.tile_size == tile_size)
+        self.layout = next(alike, None) or ViewLayout(request.sizes, tile_size)
         self.packer = ViewPacker(self.layout, request.settings.raster.cull)
         self.passes, self._reports = select(request, self.layout, PASSES)
         verify(self.passes, request.outputs)
@@ -97,7 +103,9 @@ class Plan:
         mend = "render smaller or fewer views, or fewer outputs"
         with enough_memory("frame", self.bytes, scene.device, mend, self._fitting):
             program = Program(scene.device, request.threads, self.replays)
-            self.resources = Resources.make(scene, lights(), self.layout, program, request.shadow_slots)
+            self.resources = Resources.make(
+                scene, lights(), self.layout, program, request.shadow_slots, [p.resources for p in others]
+            )
             self._allocate()
             self.finite_check = self._finite_check()
             for k, stage in enumerate(self.passes):

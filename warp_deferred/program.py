@@ -304,10 +304,14 @@ class Program:
             graphs.append((capture.graph, count))
         self._graphs = graphs
 
-    def replay(self) -> None:
-        """Run the whole program once: the graphs on CUDA, captured by the first call, or the commands on the CPU."""
+    def ready(self) -> None:
+        """Capture what the first replay would, so that it takes no longer than the next."""
         if self.device.is_cuda and not self._graphs:
             self.capture()
+
+    def replay(self) -> None:
+        """Run the whole program once: the graphs on CUDA, captured by the first call, or the commands on the CPU."""
+        self.ready()
         for graph, count in self._graphs:
             for _ in range(count):
                 wp.capture_launch(graph)

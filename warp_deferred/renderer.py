@@ -338,7 +338,7 @@ class Renderer:
             self._device_scene.stage_transforms(self.scene.transforms)
         while len(self._plans) >= MAX_PLANS:
             self._plans.pop(next(iter(self._plans)))
-        self._plans[request] = Plan(request, self._device_scene, lights, progress)
+        self._plans[request] = Plan(request, self._device_scene, lights, progress, [*self._plans.values()])
         return self._plans[request]
 
     def _update(self) -> None:

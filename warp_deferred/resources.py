@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import numpy as np
 import warp as wp
@@ -13,14 +14,50 @@ from .light_store import LightStore
 from .program import Program
 from .views import ViewLayout, table_array
 
-__all__ = ["FrameBlock", "Resources"]
+__all__ = ["FrameBlock", "Resources", "Ring"]
+
+
+class Ring:
+    """Pinned copies of a block of bytes, so that the host can write the next frame while the device reads the last.
+
+    Pinning takes milliseconds, so plans whose blocks are of one size share a ring.
+    """
+
+    BYTES = 1 << 19
+
+    def __init__(self, size: int, device: wp.Device) -> None:
+        self.size, self._device = size, device
+        pinned = device.is_cuda
+        # One pinned allocation for all slots: enough that a host far ahead of the device still does not wait.
+        slots = min(1024, max(4, self.BYTES // size)) if pinned else 1
+        self._ring = wp.zeros(slots * size, dtype=wp.uint8, device="cpu", pinned=pinned)
+        self._slots = [self._ring[k * size : (k + 1) * size] for k in range(slots)]
+        whole = memoryview(self._ring.numpy()).cast("B")
+        self._memory = [whole[k * size : (k + 1) * size] for k in range(slots)]
+        self._events: list[wp.Event | None] = [None] * slots
+        self._next = 0
+
+    def begin(self) -> memoryview:
+        """Return the host memory of the next copy, waiting if the device still reads it."""
+        event = self._events[self._next]
+        if event is not None:
+            wp.synchronize_event(event)
+        return self._memory[self._next]
+
+    def upload(self, block: wp.array) -> None:
+        """Send the copy written since `begin`."""
+        wp.copy(block, self._slots[self._next], count=self.size)
+        if self._device.is_cuda:
+            event = self._events[self._next] or wp.Event(self._device)
+            wp.get_stream(self._device).record_event(event)
+            self._events[self._next] = event
+            self._next = (self._next + 1) % len(self._slots)
 
 
 class FrameBlock:
     """Everything the host changes every frame, in one block and one copy: frame values, a flag, then cameras' views.
 
-    Behind them on the device lie the views of shadow maps, which kernels write. The pinned copies form a ring, so that
-    the host can write the next frame while the device still reads the last.
+    Behind them on the device lie the views of shadow maps, which kernels write.
 
     Attributes:
         uploaded: The views as the host or `poses` gave them, then the shadow maps'.
@@ -28,11 +65,10 @@ class FrameBlock:
         bright: One int32 that kernels set once bloom has work; the copy itself sets it back to 0.
         sampling: Whether the pass that is being built runs once a sample; then `views` are those of the sample.
         middle: Cameras' views at the sample's time, before jitter and lens moved them: what maps are fitted to.
+        ring: The host's copies.
     """
 
-    RING_BYTES = 1 << 19
-
-    def __init__(self, views: int, slots: int, device: wp.Device) -> None:
+    def __init__(self, views: int, slots: int, device: wp.Device, rings: Iterable[Ring] = ()) -> None:
         view_size = np.dtype(structs.View.numpy_dtype()).itemsize
         value_size = np.dtype(structs.FrameValues.numpy_dtype()).itemsize
         self.values_offset, flag_offset = 0, value_size
@@ -53,15 +89,7 @@ class FrameBlock:
         self._moved: wp.array | None = None
         self.sampling = False
         self.middle = self.uploaded
-        pinned = device.is_cuda
-        # One pinned allocation for all slots: enough that a host far ahead of the device still does not wait.
-        slots = min(1024, max(4, self.RING_BYTES // self.size)) if pinned else 1
-        self._ring = wp.zeros(slots * self.size, dtype=wp.uint8, device="cpu", pinned=pinned)
-        self._slots = [self._ring[k * self.size : (k + 1) * self.size] for k in range(slots)]
-        whole = memoryview(self._ring.numpy()).cast("B")
-        self._memory = [whole[k * self.size : (k + 1) * self.size] for k in range(slots)]
-        self._events: list[wp.Event | None] = [None] * len(self._slots)
-        self._next = 0
+        self.ring = next((ring for ring in rings if ring.size == self.size), None) or Ring(self.size, device)
 
     @property
     def views(self) -> wp.array:
@@ -84,10 +112,7 @@ class FrameBlock:
 
     def begin(self) -> memoryview:
         """Return the host memory of the next block, waiting if the device still reads it."""
-        event = self._events[self._next]
-        if event is not None:
-            wp.synchronize_event(event)
-        return self._memory[self._next]
+        return self.ring.begin()
 
     def write_slots(self, rows: np.ndarray) -> None:
         """Send what does not change from frame to frame about the views of shadow maps."""
@@ -98,12 +123,7 @@ class FrameBlock:
 
     def upload(self) -> None:
         """Send the block written since `begin`."""
-        wp.copy(self._block, self._slots[self._next], count=self.size)
-        if self.device.is_cuda:
-            event = self._events[self._next] or wp.Event(self.device)
-            wp.get_stream(self.device).record_event(event)
-            self._events[self._next] = event
-            self._next = (self._next + 1) % len(self._slots)
+        self.ring.upload(self._block)
 
 
 @dataclasses.dataclass
@@ -138,12 +158,23 @@ class Resources:
 
     @classmethod
     def make(
-        cls, scene: DeviceScene, lights: LightStore, layout: ViewLayout, program: Program, slots: int = 0
+        cls,
+        scene: DeviceScene,
+        lights: LightStore,
+        layout: ViewLayout,
+        program: Program,
+        slots: int = 0,
+        others: Iterable[Resources] = (),
     ) -> Resources:
-        """Upload the layout's tables; the last `slots` views are shadow maps."""
+        """Upload the layout's tables, or take those of another plan that has them; the last `slots` views are maps."""
         device = scene.device
-        tables = [table_array(t, device) for t in (layout.blocks, layout.tiles, layout.coarse_tiles, layout.bin_tiles)]
-        frame = FrameBlock(len(layout.sizes) - slots, slots, device)
+        same = next((other for other in others if other.layout is layout), None)
+        if same is not None:
+            tables = [same.blocks, same.tiles, same.coarse_tiles, same.bin_tiles]
+        else:
+            parts = (layout.blocks, layout.tiles, layout.coarse_tiles, layout.bin_tiles)
+            tables = [table_array(part, device) for part in parts]
+        frame = FrameBlock(len(layout.sizes) - slots, slots, device, [other.frame.ring for other in others])
         return cls(device, scene, lights, frame, layout, *tables, {}, program)
 
     def channel(self, name: str, dtype: type) -> wp.array:

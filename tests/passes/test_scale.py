@@ -12,7 +12,7 @@ from warp_deferred.kernels.scale import NOISE, STRETCH
 
 import warp_deferred as wd
 
-RUNGS = ("half", "two_thirds")
+RUNGS = ("half", "two_thirds", "five_sixths")
 
 
 def renderer_of(device, *values, scene=None, width=93, height=62, outputs=("display",), **fields):
@@ -112,7 +112,7 @@ def test_a_uniform_picture_stays_to_the_bit(rung, name, device):
 
 
 #: Most codes of RMSE, as `ScaleSettings` promises for anti-aliased pictures.
-BOUNDS = {"two_thirds": 12.0, "half": 18.0}
+BOUNDS = {"five_sixths": 10.0, "two_thirds": 12.0, "half": 18.0}
 
 
 @pytest.mark.parametrize("rung", RUNGS)

@@ -32,7 +32,7 @@ from .choose import HELD_SHARE, Chooser, Verified
 from .ladders import held_fields
 from .model import Market, Survey
 from .probe import Probe
-from .report import Fit, left_out, next_purchase, notes, purchases
+from .report import Fit, left_out, next_purchase, notes, purchases, unspent
 from .survey import Progress, Surveyor
 
 __all__ = ["Fit", "fit"]
@@ -172,4 +172,5 @@ def _account(chooser: Chooser, survey: Survey, chosen: Verified, date: str, seco
         compiled=probe.compiled,
         plans=probe.plans,
         cached=date,
+        unspent=unspent(chooser, chosen),
     )

@@ -30,7 +30,7 @@ from .model import Grid, LadderPrices, Offer, Survey
 __all__ = ["FORMAT", "folder", "load", "save", "signature"]
 
 #: Number of the file's layout; files of another one are not read.
-FORMAT = 1
+FORMAT = 2
 
 
 def folder() -> Path:

@@ -28,6 +28,8 @@ HELD_SHARE = 0.95
 MOST_VERIFIED, MOST_TRIES = 10, 4
 #: What a frame must promise to be looked at: so much less error, or time, than the best so far.
 WORTHWHILE = 0.02
+#: So much less error will do where that one takes less than this share of the budget.
+LITTLE, SPENT = 0.003, 0.9
 #: Frames timed one by one for a verified time, and of an interval that was not seen: on CUDA, on the CPU.
 SEEN, UNSEEN = {"cuda": 10, "cpu": 5}, {"cuda": 40, "cpu": 20}
 #: Time after which fewer frames must do, but for those that a budget is held against [ms].
@@ -140,6 +142,12 @@ class Chooser:
             ms[index], error[index] = v.ms.p95, v.error
         return ms, error
 
+    def buyable(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and errors as `corrected` has them, without the frames that did not hold."""
+        ms, error = self.corrected()
+        ms[list(self._ruled_out)] = np.inf
+        return ms, error
+
     def swapped(self, chosen: Verified, other: Choice) -> tuple[float, float]:
         """What another frame takes more than a verified one [ms], and what its picture is off by, corrected by it."""
         ms, error = self.market.predict(other)
@@ -157,7 +165,11 @@ class Chooser:
             return index
         if self.max_error is not None and self.verified[known].error <= self.max_error:
             return index if ms[index] < (1.0 - WORTHWHILE) * self.verified[known].ms.p95 else None
-        return index if error[index] < (1.0 - WORTHWHILE) * self.verified[known].error else None
+        least = WORTHWHILE if self._spends(self.verified[known]) else LITTLE
+        return index if error[index] < (1.0 - least) * self.verified[known].error else None
+
+    def _spends(self, found: Verified) -> bool:
+        return self.budget_ms is None or found.ms.median >= SPENT * self.budget_ms
 
     def _best_verified(self) -> int | None:
         places = [k for k in self.verified if k not in self._ruled_out]
@@ -194,12 +206,17 @@ class Chooser:
         predicted = float(self.market.ms[index]), float(self.market.error[index])
         self.surveyor.look("verifying " + short(choice), choice)
         error = self.probe.rmse(self.truth)
-        if self.market.samples(choice) >= self.whole_samples < self.surveyor.samples:
-            # The reference has no more samples than this: it would flatter itself.
+        if self.market.samples(choice) >= self.whole_samples and self._is_poor(choice):
+            # The reference has no more samples or rays than this: it would flatter itself.
             error = max(error, predicted[1])
         ms = self._frames(1, self._count(SEEN[self.kind], predicted[0]))
         self.probe.animate(self.probe.now_s)
         self.verified[index] = Verified(choice, *predicted, ms, error)
+
+    def _is_poor(self, choice: Choice) -> bool:
+        """Whether the reference has fewer samples than it might, or rays that the frame has, too."""
+        traces = any(rung.startswith("ray_traced ") for rung in choice.values())
+        return traces or self.whole_samples < self.surveyor.samples
 
     def _try(self, chosen: Verified) -> None:
         """Time frames of an interval that was not seen, and count those within the budget."""

@@ -18,7 +18,7 @@ import warp as wp
 
 from ..program import Program
 
-__all__ = ["Spread", "frames", "replays", "warm_up"]
+__all__ = ["SLOW_MS", "Spread", "busy_blocks", "frames", "replays", "warm_up"]
 
 #: Replays of a price: at least so many, then until so many milliseconds, and no more than so many.
 LEAST, ENOUGH_MS, MOST = 5, 6.0, 16
@@ -101,7 +101,19 @@ def _once(program: Program) -> float:
     return (time.perf_counter() - begun) * 1e3
 
 
-def frames(device: wp.Device, count: int, prepare: Callable[[int], Any], render: Callable[[], Any]) -> list[float]:
+def busy_blocks(device: wp.Device) -> tuple[wp.array, wp.array]:
+    """Memory that is copied to keep a device busy: to be made once, for it is large."""
+    block = wp.zeros(BUSY_BYTES, dtype=wp.uint8, device=device)
+    return block, wp.empty_like(block)
+
+
+def frames(
+    device: wp.Device,
+    count: int,
+    prepare: Callable[[int], Any],
+    render: Callable[[], Any],
+    blocks: tuple[wp.array, wp.array] | None = None,
+) -> list[float]:
     """Time frames that differ [ms].
 
     On CUDA a frame does not count that the device began before the host had queued it, for it may have waited.
@@ -111,12 +123,13 @@ def frames(device: wp.Device, count: int, prepare: Callable[[int], Any], render:
         count: How many that count.
         prepare: Called with a frame's number, 0, 1, ..., before its clock starts: moves the scene.
         render: Renders it: uploads and launches.
+        blocks: Of `busy_blocks`, on CUDA; made here if left out.
     """
     if not device.is_cuda:
         return [_host_frame(k, prepare, render) for k in range(count)]
     values: list[float] = []
-    block, copies = wp.zeros(BUSY_BYTES, dtype=wp.uint8, device=device), BUSY_COPIES
-    other, stream = wp.empty_like(block), wp.get_stream(device)
+    (block, other), copies = blocks or busy_blocks(device), BUSY_COPIES
+    stream = wp.get_stream(device)
     begin, end = (wp.Event(device, enable_timing=True) for _ in range(2))
     numbers = itertools.count()
     while len(values) < count:

@@ -42,6 +42,7 @@ class Offer:
         samples: Samples a pixel that a frame with it takes at least.
         estimated: Whether the price was not measured but follows from a cheaper rung's.
         once_ms: What a frame of a scene that moves takes more beside, once, however many pixels and samples [ms].
+        independent: Whether samples of the pixel average its error out: its square is that of one, divided by them.
     """
 
     rung: str
@@ -50,6 +51,11 @@ class Offer:
     samples: int = 1
     estimated: bool = False
     once_ms: float = 0.0
+    independent: bool = False
+
+    def square(self, samples: int) -> float:
+        """Squared error in a frame of so many samples."""
+        return self.error**2 / (samples if self.independent else 1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -94,16 +100,36 @@ class Grid:
         return max([self.least, PIXEL_SAMPLES[rung], *(offer.samples for offer in offers)])
 
     def time(self, scale: str, samples: int) -> float:
-        """Time of a frame [ms], measured or on a line through what was; a number of samples costs in proportion."""
+        """Time of a frame [ms], measured or from what was: several samples cost so much each, and a little beside."""
         if (scale, samples) in self.times:
             return self.times[scale, samples]
-        known = sorted((n, ms) for (size, n), ms in self.times.items() if size == scale)
-        if not known:
-            full = next(iter(SCALES))
-            return self.time(full, samples) * share(scale) / share(full)
-        (first, start), (last, end) = known[0], known[-1]
-        slope = (end - start) / (last - first) if last > first else start / first
-        return start + (samples - first) * slope
+        full, known = next(iter(SCALES)), self._several(scale)
+        if known and samples > 1:
+            if len(known) > 1:
+                # Between two that were measured, or beyond them.
+                after = next((k for k, (n, _) in enumerate(known) if n > samples), len(known) - 1)
+                (first, start), (last, end) = known[max(after - 1, 0)], known[max(after, 1)]
+                return start + (samples - first) * (end - start) / (last - first)
+            (count, ms), beside = known[0], self._beside() * share(scale)
+            return beside + (ms - beside) * samples / count
+        if (scale, 1) in self.times:
+            one, full_one = self.times[scale, 1], self.times.get((full, 1), 0.0)
+            return one * self.time(full, samples) / full_one if scale != full and full_one else one * samples
+        if known:
+            return known[0][1] * samples / known[0][0]
+        return self.time(full, samples) * share(scale) / share(full)
+
+    def _several(self, scale: str) -> list[tuple[int, float]]:
+        """(samples, time) of frames of several samples that were measured, few to many."""
+        return sorted((n, ms) for (size, n), ms in self.times.items() if size == scale and n > 1)
+
+    def _beside(self) -> float:
+        """What a frame of several samples takes at full size beside them [ms]; nothing where no two numbers tell."""
+        known = self._several(next(iter(SCALES)))
+        if len(known) < 2:
+            return 0.0
+        (first, start), (last, end) = known[0], known[1]
+        return max(start - first * (end - start) / (last - first), 0.0)
 
 
 @dataclasses.dataclass
@@ -156,7 +182,8 @@ def share(scale: str) -> float:
 
 def undominated(offers: Sequence[Offer]) -> tuple[Offer, ...]:
     """Offers that no other one beats in price, error and samples at once; of equal ones the first stays."""
-    keys = [(offer.ms, offer.once_ms, offer.error, offer.samples) for offer in offers]
+    # At one sample, and at as many as one likes.
+    keys = [(o.ms, o.once_ms, o.error, 0.0 if o.independent else o.error, o.samples) for o in offers]
     return tuple(
         offer
         for k, offer in enumerate(offers)
@@ -186,14 +213,14 @@ class Market:
         self._kept.sort(key=lambda kept: all(offer.samples == 1 for offer in kept[1]))
         taking = sum(any(offer.samples > 1 for offer in offers) for _, offers in self._kept)
         blocks, cells, weights, names = [], [], [], []
-        for scale, rung in grid.errors:
+        for scale in dict.fromkeys(scale for scale, _ in grid.errors):
             for taken in itertools.product(*(offers for _, offers in self._kept[:taking])):
-                samples = grid.samples(rung, taken)
-                ms, square = self._block(scale, rung, taken, samples)
-                blocks.append((ms, square))
-                cells.append(np.full(len(ms), list(SCALES).index(scale) * 1024 + samples))
-                weights.append(np.full(len(ms), samples * share(scale)))
-                names.append((scale, rung, taken))
+                for rung, samples in self._rungs(scale, taken):
+                    ms, square = self._block(scale, rung, taken, samples)
+                    blocks.append((ms, square))
+                    cells.append(np.full(len(ms), list(SCALES).index(scale) * 1024 + samples))
+                    weights.append(np.full(len(ms), samples * share(scale)))
+                    names.append((scale, rung, taken))
         self._names, self._length = names, len(blocks[0][0]) if blocks else 0
         self.ms = np.concatenate([ms for ms, _ in blocks]) if blocks else np.zeros(0)
         self.error = np.sqrt(np.concatenate([square for _, square in blocks])) if blocks else np.zeros(0)
@@ -201,6 +228,22 @@ class Market:
         self.weight = np.concatenate(weights) if weights else np.zeros(0)
         self._others = [offers for _, offers in self._kept[taking:]]
         self._taking = taking
+
+    def _rungs(self, scale: str, taken: Sequence[Offer]) -> list[tuple[str, int]]:
+        """Rungs of `anti_aliasing` at a size with the samples of a frame, but those that another one beats at as many.
+
+        Where a lens or a shutter takes samples, the pixel's are the same ones: most rungs then cost the same.
+        """
+        rows = [(self.grid.samples(rung, taken), self._fxaa(scale, rung), error, rung)
+                for (size, rung), error in self.grid.errors.items() if size == scale]  # fmt: skip
+        return [
+            (rung, samples)
+            for k, (samples, ms, error, rung) in enumerate(rows)
+            if not any(
+                n == samples and other <= ms and square <= error and ((other, square) != (ms, error) or j < k)
+                for j, (n, other, square, _) in enumerate(rows)
+            )
+        ]
 
     def _block(self, scale: str, rung: str, taken: Sequence[Offer], samples: int) -> tuple[np.ndarray, np.ndarray]:
         """Times and squared errors of all frames of one size and one number of samples."""
@@ -210,7 +253,7 @@ class Market:
             chosen = [taken[k]] if k < len(taken) else offers
             weight = share(scale) * (samples if ladder.part == "sample" else 1)
             ms = np.add.outer(ms, [offer.ms * weight + offer.once_ms for offer in chosen]).ravel()
-            square = np.add.outer(square, [offer.error**2 for offer in chosen]).ravel()
+            square = np.add.outer(square, [offer.square(samples) for offer in chosen]).ravel()
         return np.maximum(ms, FLOOR * self.grid.time(scale, samples)), square
 
     def _fxaa(self, scale: str, rung: str) -> float:
@@ -242,7 +285,7 @@ class Market:
         ms = self.grid.time(scale, samples) + self._fxaa(scale, rung) + self.grid.moving_ms
         for ladder, offer in offers:
             ms += offer.ms * share(scale) * (samples if ladder.part == "sample" else 1) + offer.once_ms
-        square = self.grid.errors[scale, rung] ** 2 + sum(offer.error**2 for _, offer in offers)
+        square = self.grid.errors[scale, rung] ** 2 + sum(offer.square(samples) for _, offer in offers)
         return max(ms, FLOOR * self.grid.time(scale, samples)), math.sqrt(square)
 
 

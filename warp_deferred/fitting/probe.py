@@ -20,12 +20,14 @@ from ..kernels import picture_error
 from ..plan import Plan
 from ..renderer import Renderer
 from ..settings import Settings
-from .clock import Spread, frames, replays, warm_up
+from .clock import SLOW_MS, Spread, busy_blocks, frames, replays, warm_up
 
 __all__ = ["FRAME_S", "Probe"]
 
 #: Time from one frame to the next of a scene that moves [s].
 FRAME_S = 1.0 / 30.0
+#: A frame that takes longer than this on the CPU is its own price [ms]: memory that is new to it then matters little.
+CPU_ONCE_MS = 2_000.0
 #: Frames as they come that make a price.
 FEW = 5
 
@@ -52,6 +54,9 @@ class Probe:
         self._settings = renderer.settings
         self._sum = wp.zeros(1, dtype=wp.int64, device=self.device)
         self._warm = False
+        #: Time of the last look's own frame, all of it [ms].
+        self._look_ms = 0.0
+        self._blocks: tuple[wp.array, wp.array] | None = None
 
     @property
     def plan(self) -> Plan:
@@ -68,7 +73,12 @@ class Probe:
             self.animate(self.now_s - FRAME_S)
             self.renderer.render(self.cameras)
             self.animate(self.now_s)
+        self.renderer.plan.resources.program.ready()
+        wp.synchronize_device(self.device)
+        begun = time.perf_counter()
         self.renderer.render(self.cameras)
+        wp.synchronize_device(self.device)
+        self._look_ms = (time.perf_counter() - begun) * 1e3
         if not self._warm:
             warm_up(self.plan.resources.program)
             self._warm = True
@@ -121,8 +131,11 @@ class Probe:
     def price(self) -> float:
         """Time of the last look's frame, replayed [ms]: the median on CUDA.
 
-        On the CPU the fastest: what else runs on the host only ever adds, and prices are differences.
+        On the CPU the fastest: what else runs on the host only ever adds, and prices are differences. What takes long
+        is not rendered once more for it.
         """
+        if self._look_ms > (SLOW_MS[0] if self.device.is_cuda else CPU_ONCE_MS):
+            return self._look_ms
         spread = self.replays()
         return spread.median if self.device.is_cuda else spread.p5
 
@@ -142,7 +155,9 @@ class Probe:
         def prepare(k: int) -> None:
             self.animate(self.now_s + (first + k) * FRAME_S)
 
-        return frames(self.device, count, prepare, lambda: self.renderer.render(self.cameras))
+        if self._blocks is None and self.device.is_cuda:
+            self._blocks = busy_blocks(self.device)
+        return frames(self.device, count, prepare, lambda: self.renderer.render(self.cameras), self._blocks)
 
     def animate(self, moment_s: float) -> None:
         """Move the scene, where it can be."""
@@ -151,11 +166,21 @@ class Probe:
 
     @contextlib.contextmanager
     def restoring(self) -> Any:
-        """Show the scene's moment, and put scene and settings back to it, whatever happens."""
+        """Show the scene's moment, and put scene and settings back to it, whatever happens.
+
+        Memory of plans that are let go of is kept for the next ones meanwhile: asking the driver anew takes longer.
+        """
         self.animate(self.now_s)
+        pooled = self.device.is_cuda and wp.is_mempool_enabled(self.device)
+        kept = wp.get_mempool_release_threshold(self.device) if pooled else 0
+        if pooled:
+            wp.set_mempool_release_threshold(self.device, 0.9)
         try:
             yield
         finally:
+            self._blocks = None
+            if pooled:
+                wp.set_mempool_release_threshold(self.device, kept)
             self.renderer.settings = self._settings
             self.animate(self.now_s)
 

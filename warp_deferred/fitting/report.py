@@ -9,12 +9,22 @@ import numpy as np
 
 from ..explain import table
 from ..settings import Settings
-from .choose import Chooser, Verified
+from .choose import LITTLE, SPENT, Chooser, Verified
 from .clock import Spread
 from .ladders import EXACT, PIXEL_SAMPLES
 from .model import Choice, Survey, best
 
-__all__ = ["NEXT_MS", "Fit", "Purchase", "assignments", "left_out", "next_purchase", "notes", "purchases"]
+__all__ = [
+    "NEXT_MS",
+    "Fit",
+    "Purchase",
+    "assignments",
+    "left_out",
+    "next_purchase",
+    "notes",
+    "purchases",
+    "unspent",
+]
 
 #: Time whose worth is told beyond what was bought [ms].
 NEXT_MS = 0.1
@@ -71,6 +81,7 @@ class Fit:
         compiled: Modules of kernels compiled.
         plans: Frames looked at that needed a plan of their own.
         cached: When the prices were measured, if they came from the cache; else empty.
+        unspent: Why more than a tenth of the budget is left, in words; empty where it is not.
     """
 
     settings: Settings
@@ -94,6 +105,7 @@ class Fit:
     compiled: int
     plans: int
     cached: str
+    unspent: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data, for JSON; settings as far as they differ from the defaults."""
@@ -141,7 +153,8 @@ class Fit:
             ]
             lines += ["", table("left out", [("stage", "left"), ("rung", "left"), ("ms", "right"),
                                              ("error with", "right"), ("in place of", "left")], rows)]  # fmt: skip
-        lines += ["", f"  {self.next}", *(f"  {note}" for note in self.notes)]
+        told = [self.unspent] if self.unspent else []
+        lines += ["", *(f"  {text}" for text in (*told, self.next, *self.notes))]
         cold = f", and {self.cold_seconds:.1f} s to compile {self.compiled} modules" if self.compiled else ""
         if self.load_seconds >= 0.1:
             cold = f", {self.load_seconds:.1f} s of them to load kernels" + cold
@@ -182,7 +195,8 @@ def left_out(chooser: Chooser, chosen: Verified) -> tuple[Purchase, ...]:
         found = []
         for option in options:
             ms, error = chooser.swapped(chosen, chosen.choice | option)
-            if error < (1.0 - NOTABLE) * chosen.error:
+            # What is told to cost less was looked at, and did not.
+            if ms > 0.0 and error < (1.0 - NOTABLE) * chosen.error:
                 found.append(Purchase(stage, _named(option, option), _named(chosen.choice, option), ms, error))
         if found:
             result.append(min(found, key=lambda p: p.ms))
@@ -191,7 +205,7 @@ def left_out(chooser: Chooser, chosen: Verified) -> tuple[Purchase, ...]:
 
 def next_purchase(chooser: Chooser, chosen: Verified) -> str:
     """What `NEXT_MS` more would buy, and if that is nothing, what the next purchase is and what it costs."""
-    ms, error = chooser.corrected()
+    ms, error = chooser.buyable()
     # Beyond the budget; where an error was asked for, beyond what it took.
     spent = chosen.ms.p95
     if chooser.budget_ms is not None and chooser.max_error is None:
@@ -210,6 +224,25 @@ def next_purchase(chooser: Chooser, chosen: Verified) -> str:
     )
 
 
+def unspent(chooser: Chooser, chosen: Verified) -> str:
+    """Why the choice leaves more than a tenth of the budget, and from what on a nearer picture can be had."""
+    spent = (chosen.unseen or chosen.ms).median
+    if chooser.budget_ms is None or chooser.max_error is not None or spent >= SPENT * chooser.budget_ms:
+        return ""
+    left = f"{1.0 - spent / chooser.budget_ms:.0%} of the budget is left"
+    ms, error = chooser.buyable()
+    index = int(np.argmin(np.where(error < (1.0 - LITTLE) * chosen.error, ms, np.inf)))
+    if not error[index] < (1.0 - LITTLE) * chosen.error:
+        return f"{left}: nothing that is for sale is nearer to the reference"
+    times = chosen.unseen or chosen.ms
+    if times.p95 >= SPENT * chooser.budget_ms:
+        return f"{left} by the median, for frames vary: 95 % of them take up to {times.p95:.3g} ms"
+    if ms[index] <= chooser.budget_ms:
+        return f"{left}: {_change(chooser, chosen, index)} may fit, too, and was not looked at"
+    between = f"between {spent:.3g} and {ms[index]:.3g} ms"
+    return f"{left}: nothing for sale {between} takes {LITTLE:.1%} or more off the error"
+
+
 def notes(survey: Survey) -> list[str]:
     """What was not for sale, and why, and what is free."""
     result = []
@@ -222,9 +255,9 @@ def notes(survey: Survey) -> list[str]:
     if survey.absent:
         listed = "; ".join(f"{name} ({reason})" for name, reason in survey.absent.items())
         result.append(f"not for sale, costs nothing: {listed}")
-    estimated = [f"{x.name} {o.rung}" for x in survey.ladders for o in x.offers if o.estimated]
+    estimated = [x.name for x in survey.ladders if any(offer.estimated for offer in x.offers)]
     if estimated:
-        result.append(f"prices that follow from fewer rays: {', '.join(estimated)}")
+        result.append(f"prices of any number of rays follow from one: {', '.join(estimated)}")
     if survey.unmeasured:
         result.append(f"not measured, far past the budget: {', '.join(survey.unmeasured)}")
     return result
