@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .accuracy_tables import default_rung, front_of, ladder_names, rows_of, scenes_of
+from .effect_cases import ladders as effect_ladders
 from .ladders import LADDERS
 from .measures import MEASURES
 from .record import Record
@@ -118,18 +119,40 @@ def _exact_figure(record: Record, ladder: str, colors: tuple[str, ...], title: s
 def overview_figure(record: Record, colors: tuple[str, ...], pale: str, title: str) -> Figure:
     """Every ladder on the scene that shows it best: time against the error of the picture, the front as a line.
 
-    A result of ladders without errors of pictures alone, as `--only` may leave, is drawn as its first ladder.
+    Effects stand on the left, on the right in how many bits what is computed is kept. A result of ladders without
+    errors of pictures alone, as `--only` may leave, is drawn as its first ladder.
     """
     names = [name for name in ladder_names(record) if not LADDERS[name].exact and not LADDERS[name].twin]
     if not names:
         return ladder_figure(record, ladder_names(record)[0], colors, pale, title)
-    figure = Figure(figsize=(8.6, 5.4))
-    axes = figure.subplots()
-    labels: list[tuple[float, float, str, str]] = []
     lines = {name: _shown(rows_of(record, name, scenes_of(record, name)[0])) for name in names}
     everything = [row for rows in lines.values() for row in rows]
-    least = _least(everything)
-    floor = _floor([row["error.rmse"] for row in everything])
+    floor, most = _floor([row["error.rmse"] for row in everything]), max(row["error.rmse"] for row in everything)
+    parts = {
+        "what is computed": {name: rows for name, rows in lines.items() if name in effect_ladders()},
+        "in how many bits": {name: rows for name, rows in lines.items() if name not in effect_ladders()},
+    }
+    parts = {words: part for words, part in parts.items() if part}
+    figure = Figure(figsize=(10.6, 5.2), layout="constrained")
+    several = len(parts) > 1
+    panels = figure.subplots(1, len(parts), sharey=True, squeeze=False, width_ratios=(3, 2) if several else None)[0]
+    for axes, (words, part) in zip(panels, parts.items(), strict=True):
+        axes.set(xscale="log", yscale="log", xlabel="the stage's time [ms]: right is dearer")
+        axes.set_ylim(floor / 1.5, 16.0 * max(floor, most))
+        _overview_panel(axes, part, colors, pale, floor)
+        axes.set_title(words, fontsize=9, loc="left")
+    panels[0].set_ylabel("RMSE of the picture: down is nearer to the reference")
+    for place, words, side in (((0.01, 0.98), "cheap and far off", "left"), ((0.99, 0.06), "dear and true", "right")):
+        height = "top" if side == "left" else "bottom"
+        panels[0].text(*place, words, transform=panels[0].transAxes, color=pale, ha=side, va=height, fontstyle="italic")
+    figure.suptitle(f"What accuracy costs, filled: the default rung. {title}", fontsize=10, fontweight="bold")
+    return figure
+
+
+def _overview_panel(axes: Any, lines: dict[str, list[Row]], colors: tuple[str, ...], pale: str, floor: float) -> None:
+    """Draw ladders into one panel, whose vertical limits are set."""
+    labels: list[tuple[float, float, str, str]] = []
+    least = _least([row for rows in lines.values() for row in rows])
     for k, (name, rows) in enumerate(lines.items()):
         color, style = colors[k % len(colors)], ("-", "--")[k // len(colors) % 2]
         points = [(_cost(row, least), max(_noise(row, "error"), floor)) for row in rows]
@@ -144,18 +167,9 @@ def overview_figure(record: Record, colors: tuple[str, ...], pale: str, title: s
     axes.axhline(floor, color=pale, linewidth=0.8)
     axes.text(0.01, floor * 1.05, "no error", transform=axes.get_yaxis_transform(), fontsize=8, color=pale,
               va="bottom")  # fmt: skip
-    axes.set(xscale="log", yscale="log", xlabel="the stage's time [ms]: right is dearer",
-             ylabel="RMSE of the picture: down is nearer to the reference")  # fmt: skip
-    axes.set_ylim(bottom=floor / 1.5)
-    axes.margins(x=0.08, y=0.1)
-    axes.set_ylim(top=3.0 * max(floor, *(row["error.rmse"] for row in everything)))
+    axes.margins(x=0.12)
     _plain(axes.xaxis)
-    for place, words, side in (((0.01, 0.98), "cheap and far off", "left"), ((0.99, 0.06), "dear and true", "right")):
-        height = "top" if side == "left" else "bottom"
-        axes.text(*place, words, transform=axes.transAxes, color=pale, ha=side, va=height, fontstyle="italic")
     _put_names(axes, labels, (0, 7), {"fontsize": 8.5, "ha": "center", "fontweight": "bold"})
-    axes.set_title(f"What accuracy costs, filled: the default rung. {title}", fontsize=10)
-    return figure
 
 
 def _put_names(
@@ -166,7 +180,7 @@ def _put_names(
     put: list[np.ndarray] = []
     for k in sorted(range(len(labels)), key=lambda k: places[k, 1]):
         place, height = places[k].copy(), 0
-        while any(abs(place[0] - other[0]) < 0.14 and abs(place[1] - other[1]) < 0.035 for other in put):
+        while any(abs(place[0] - other[0]) < 0.2 and abs(place[1] - other[1]) < 0.035 for other in put):
             place[1], height = place[1] + 0.02, height + 6
         put.append(place)
         x, y, text, color = labels[k]
