@@ -30,6 +30,7 @@ app = typer.Typer(
 Device = Annotated[str, typer.Option("--device", metavar="D", help="cpu, cuda:0, ...")]
 Json = Annotated[str | None, typer.Option("--json", metavar="F", help="Write the result here.")]
 Plot = Annotated[str | None, typer.Option("--plot", metavar="F.png", help="Draw the result here.")]
+Check = Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if a file is out of date.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Small cases and few repeats: does it run?")]
 Sets = Annotated[
     list[str] | None, typer.Option("--set", metavar="STAGE.FIELD=VALUE", help="Change a setting; may be repeated.")
@@ -298,9 +299,7 @@ def preview(
 
 @app.command()
 def report(
-    check: Annotated[
-        bool, typer.Option("--check", help="Write nothing; exit with 1 if a text is out of date.")
-    ] = False,
+    check: Check = False,
     root: Annotated[str, typer.Option("--root", metavar="DIR", help="Folder of README.md, docs and results.")] = ".",
 ) -> None:
     """Write the tables and plots of docs/benchmarks.md and of README.md from bench/results/*.json."""
@@ -326,10 +325,8 @@ def presets(
         typer.Option("--from", metavar="F.json", help="Result of `accuracy`; left out: the GPU's, or a CPU's."),
     ] = None,
     out: Annotated[str | None, typer.Option("--out", "-o", metavar="F.py", help="Write the module here.")] = None,
-    check: Annotated[bool, typer.Option("--check", help="Write nothing; exit with 1 if it is out of date.")] = False,
-    measure: Annotated[
-        bool, typer.Option("--measure", help="Time the presets on scenes, as --json does; no module.")
-    ] = False,
+    check: Check = False,
+    measure: Annotated[bool, typer.Option("--measure", help="Time presets on scenes, as --json does.")] = False,
     device: Device = "cuda:0",
     json: Json = None,
     quick: Quick = False,
