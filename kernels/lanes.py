@@ -69,14 +69,14 @@ def word_from_lane(value: wp.uint64, offset: wp.int32) -> wp.uint64:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    __shared__ wp::uint64 words[4352];
-    return wp::array_t<wp::uint64>(words, 4352);
+    __shared__ wp::uint64 words[2752];
+    return wp::array_t<wp::uint64>(words, 2752);
 #else
     return scratch;
 #endif
 """)
 def block_memory(scratch: wp.array[wp.uint64]) -> wp.array[wp.uint64]:
-    """Memory that the lanes of a block share, 34 KiB, as an array; `block_sync` between stores and loads.
+    """Memory that the lanes of a block share, 21.5 KiB, as an array; `block_sync` between stores and loads.
 
     The CPU, where a block is one lane, uses `scratch` instead, in launches of one thread.
     """
@@ -84,64 +84,25 @@ def block_memory(scratch: wp.array[wp.uint64]) -> wp.array[wp.uint64]:
 
 
 @wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    const unsigned int place = __cvta_generic_to_shared(memory.data + to);
-    asm volatile("cp.async.ca.shared.global [%0], [%1], 8;" : : "r"(place), "l"(words.data + source) : "memory");
-#else
-    memory.data[to] = words.data[source];
-#endif
-""")
-def copy_to_block(words: wp.array[wp.uint64], source: wp.int32, memory: wp.array[wp.uint64], to: wp.int32):
-    """Copy a double word to the block's memory; it is there after `wait_for_copies` and `block_sync`."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    asm volatile("cp.async.wait_all;" : : : "memory");
-#endif
-""")
-def wait_for_copies():
-    """Wait for all that the lane has called `copy_to_block` for."""
-    ...
-
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    __shared__ int sink[32];
-    const unsigned int place = __cvta_generic_to_shared(sink + (threadIdx.x & 31));
-    asm volatile("cp.async.ca.shared.global [%0], [%1], 4;" : : "r"(place), "l"(words.data + index) : "memory");
-#endif
-""")
-def touch(words: wp.array[wp.uint64], index: wp.int32):
-    """Have the 32 bytes around a double word fetched into the L1 cache; no register waits for them.
-
-    The prefetching instruction is but a hint. A copy of four bytes to where nobody looks is none.
-    """
-    ...
-
-
-@wp.func_native("""
     auto rows = levels;
 #if defined(__CUDA_ARCH__)
-    __shared__ wp::uint64 words[32 * sizeof(*levels.data) / sizeof(wp::uint64)];
+    __shared__ wp::uint64 words[16 * sizeof(*levels.data) / sizeof(wp::uint64)];
     rows.data = reinterpret_cast<decltype(rows.data)>(words);
-    const int lane = threadIdx.x, lanes = blockDim.x;
+    for (int k = threadIdx.x; k < count; k += blockDim.x)
+        rows.data[k] = levels.data[first + k];
 #else
-    rows.data = reinterpret_cast<decltype(rows.data)>(scratch.data + 4352);
-    const int lane = 0, lanes = 1;
+    rows.data += first;
 #endif
-    for (int k = lane; k < count; k += lanes)
-        rows.data[k] = rows.data[k + 16] = levels.data[first + k];
     return rows;
 """)
-def block_levels(
-    levels: wp.array[BloomLevel], first: wp.int32, count: wp.int32, scratch: wp.array[wp.uint64]
-) -> wp.array[BloomLevel]:
-    """Two copies of some rows, at most 16, that a block's lanes share, one from 0 on and one from 16 on.
+def block_levels(levels: wp.array[BloomLevel], first: wp.int32, count: wp.int32) -> wp.array[BloomLevel]:
+    """Copy of some rows, at most 16, that the lanes of a block share; all its lanes must call it, then `block_sync`."""
+    ...
 
-    All lanes must call it, then `block_sync`; lane k writes row k. The CPU has them behind the block's memory.
-    """
+
+@wp.func_native("return flag ? one : other;")
+def either(flag: wp.bool, one: wp.array[wp.uint64], other: wp.array[wp.uint64]) -> wp.array[wp.uint64]:
+    """One of two arrays."""
     ...
 
 
@@ -169,14 +130,10 @@ def next_turn(counters: wp.array[wp.int32], block: wp.int32) -> wp.int32:
     if (threadIdx.x == 0 && step > 0) {
         const int* done = counters.data + 32 * step;
         int seen;
-        // An acquiring load drops what the L1 cache holds: from the blocks at work beside, were it to poll.
-        while (true) {
-            asm volatile("ld.relaxed.gpu.global.s32 %0, [%1];" : "=r"(seen) : "l"(done) : "memory");
-            if (seen >= count)
-                break;
-            __nanosleep(40);
-        }
-        asm volatile("ld.acquire.gpu.global.s32 %0, [%1];" : "=r"(seen) : "l"(done) : "memory");
+        do
+            // Orders what follows behind it, and drops what the L1 cache held before.
+            asm volatile("ld.acquire.gpu.global.s32 %0, [%1];" : "=r"(seen) : "l"(done) : "memory");
+        while (seen < count);
     }
     __syncthreads();
 #endif
@@ -199,8 +156,7 @@ def wait_for_step(counters: wp.array[wp.int32], step: wp.int32, count: wp.int32)
             return;
         }
         int before;
-        // Nobody waits for what the last step wrote but the launch's end.
-        asm volatile("atom.relaxed.gpu.global.add.s32 %0, [%1], 1;" : "=r"(before) : "l"(done) : "memory");
+        asm volatile("atom.acq_rel.gpu.global.add.s32 %0, [%1], 1;" : "=r"(before) : "l"(done) : "memory");
         if (before + 1 == -count)
             for (int k = 0; k < step + 2; ++k)
                 counters.data[32 * k] = 0;

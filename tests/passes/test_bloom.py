@@ -286,22 +286,23 @@ def test_large_views_have_the_bits_of_levels_made_one_by_one(size, radius, cuda_
 
 
 def test_all_that_a_block_keeps_of_levels_fits_its_memory():
-    """Squares of levels by depth, of any item of the way down and of the largest one of the way up."""
+    """Squares of levels by depth, of the largest item of the way up and of any one of the way down."""
+    parts = (bloom_chain.SHARED - bloom_chain.PART, bloom_chain.PART)
 
     def narrow_square(width, height, steps):
         return ((width << steps) + 4 * ((1 << steps) - 1)) * ((height << steps) + 4 * ((1 << steps) - 1))
 
-    tile = (bloom_chain.DOWN_WIDTH, bloom_chain.DOWN_HEIGHT)
-    assert sum(narrow_square(*tile, steps) for steps in range(bloom_chain.DOWN)) <= bloom_chain.SHARED
+    for steps in range(bloom_chain.DOWN):
+        depth = bloom_chain.DOWN - steps
+        assert narrow_square(bloom_chain.DOWN_WIDTH, bloom_chain.DOWN_HEIGHT, steps) <= parts[depth % 2]
     longest = (bloom_chain.UP_WIDTH + 1, bloom_chain.UP_HEIGHT + 1)
     quads = [[4 - ((4 - length) >> depth) for length in longest] for depth in range(14)]
-    most = 0
-    for widest in range(1, 14):
-        made = widest % bloom_chain.DOWN if widest > bloom_chain.DOWN else 0
-        seen = [length + 3 for length in quads[widest - 1]]
-        words = sum(narrow_square(*seen, steps) for steps in range(made + 1))
-        most = max(most, words + sum(4 * quads[d][0] * quads[d][1] for d in range(1, widest - made)))
-    assert bloom_chain.SHARED - 128 <= most <= bloom_chain.SHARED
+    for depth in range(1, 14):
+        assert 4 * quads[depth][0] * quads[depth][1] <= parts[depth % 2]
+    for widest in range(bloom_chain.DOWN + 1, 14):
+        for steps in range(widest % bloom_chain.DOWN):
+            seen = [length + 3 for length in quads[widest - 1]]
+            assert narrow_square(*seen, steps) <= parts[(widest - steps) % 2]
 
 
 def test_a_1080p_frame_takes_two_steps():

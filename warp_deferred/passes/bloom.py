@@ -265,8 +265,7 @@ class BloomPass(Pass):
         items, steps, count = self.pyramid.chain()
         self.chain, self.items = bloom_chain, (table_array(items, device), table_array(steps, device), len(items))
         self.counters = wp.zeros(32 * (count + 1), dtype=wp.int32, device=device)
-        size = 1 if device.is_cuda else bloom_chain.SHARED + bloom_chain.ROWS
-        self.scratch = wp.zeros(size, dtype=wp.uint64, device=device)
+        self.scratch = wp.zeros(1 if device.is_cuda else bloom_chain.SHARED, dtype=wp.uint64, device=device)
 
     def _prepare_exact(self, device: wp.Device) -> None:
         """Weights of all Gaussians, out to five standard deviations, views of one height sharing theirs."""
