@@ -346,7 +346,7 @@ def widen_levels(
         block_sync()
 
 
-@wp.kernel(grid_stride=False, launch_bounds=(BLOCK_DIM, 2))
+@wp.kernel(grid_stride=False, launch_bounds=(BLOCK_DIM, 3))
 def chain_kernel(
     # Frame
     views: wp.array[View],
