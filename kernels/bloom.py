@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from .intrinsics import add_exact, load_double_word, load_vec4i, pack_half4, store_double_word, unpack_half3
+from .intrinsics import load_double_word, load_vec4i, pack_half4, store_double_word, unpack_half3
 from .projection import pixel_block, pixel_in_block
 from .structs import Bloom, BloomLevel, View
 
@@ -63,7 +63,7 @@ class SixSums:
     """Six texels of a row, summed with the weights of both kinds of box."""
 
     spread: wp.vec3  # 1 1 2 2 1 1
-    middle: wp.vec3  # 0 1 1 1 1 0
+    middle: wp.vec3  # 0 4 4 4 4 0
 
 
 @wp.func
@@ -72,8 +72,8 @@ def six_sums(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3, e: wp.vec3, f: wp.v
     sums = SixSums()
     inner = c + d
     near = b + e
-    sums.spread = add_exact((a + f) + near, inner, 2.0)
-    sums.middle = near + inner
+    sums.spread = (a + f) + near + inner * 2.0
+    sums.middle = (near + inner) * 4.0
     return sums
 
 
@@ -84,9 +84,9 @@ def thirteen_taps(a: SixSums, b: SixSums, c: SixSums, d: SixSums, e: SixSums, f:
     The taps are five boxes of 4 x 4 texels: one in the middle of weight 1/2, four a texel off in both directions of
     1/8 each, which is half of a a' + s s' with a = (0 1 1 1 1 0) / 4 and s = (1 1 2 2 1 1) / 8.
     """
-    spread = add_exact((a.spread + f.spread) + (b.spread + e.spread), c.spread + d.spread, 2.0)
+    spread = (a.spread + f.spread) + (b.spread + e.spread) + (c.spread + d.spread) * 2.0
     middle = (b.middle + e.middle) + (c.middle + d.middle)
-    return add_exact(spread, middle, 4.0) * (1.0 / 128.0)
+    return (spread + middle) * (1.0 / 128.0)
 
 
 @wp.func
@@ -105,7 +105,7 @@ def six_columns(level: BloomLevel, x: wp.int32):
 @wp.func
 def six_texels(texels: wp.array[wp.uint64], level: BloomLevel, columns: Six, y: wp.int32):
     """Sums of one row, mirrored; columns are mirrored already."""
-    row = level.first + mirrored(y, level.height, level.edge_y) * level.pitch
+    row = level.first + mirrored(y, level.height, level.edge_y) * level.width
     return six_sums(
         word_value(texels, row + columns[0]),
         word_value(texels, row + columns[1]),
@@ -134,12 +134,6 @@ def tent_ahead(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
     in the nearer half of c's the same four count in reverse.
     """
     return a * 3.0 + b * 7.0 + c * 5.0 + d
-
-
-@wp.func
-def tent_ahead_of_halves(a: wp.vec3, b: wp.vec3, c: wp.vec3, d: wp.vec3):
-    """`tent_ahead` of values that halves hold: the same bits by fewer operations."""
-    return add_exact(add_exact(a * 3.0, b, 7.0), c, 5.0) + d
 
 
 @wp.struct
@@ -242,12 +236,12 @@ class TentRow:
 @wp.func
 def tent_row(texels: wp.array[wp.uint64], level: BloomLevel, columns: wp.vec4i, y: wp.int32):
     """One row under the tent, mirrored; columns are mirrored already."""
-    row = level.first + mirrored(y, level.height, level.edge_y) * level.pitch
+    row = level.first + mirrored(y, level.height, level.edge_y) * level.width
     a, b = word_value(texels, row + columns[0]), word_value(texels, row + columns[1])
     c, d = word_value(texels, row + columns[2]), word_value(texels, row + columns[3])
     seen = TentRow()
-    seen.left = tent_ahead_of_halves(a, b, c, d)
-    seen.right = tent_ahead_of_halves(d, c, b, a)
+    seen.left = tent_ahead(a, b, c, d)
+    seen.right = tent_ahead(d, c, b, a)
     return seen
 
 
@@ -258,40 +252,28 @@ def mixed(own: wp.vec3, wider: wp.vec3, level: BloomLevel):
 
 
 @wp.func
-def upsample_quads(
-    wider_texels: wp.array[wp.uint64],
-    wider: BloomLevel,
-    own_texels: wp.array[wp.uint64],
-    own: BloomLevel,
-    texels: wp.array[wp.uint64],
-    level: BloomLevel,
-    x: wp.int32,
-    y: wp.int32,
-    count: wp.int32,
-):
-    """Mix a level `own` and the wider ones: some quads of 2 x 2 texels, one below the other, that see the same 4 x 4.
+def upsample_quad(texels: wp.array[wp.uint64], level: BloomLevel, wider: BloomLevel, block: wp.vec4i, place: wp.vec2i):
+    """Mix the wider levels into the 2 x 2 texels that see the same 4 x 4; x and y count the wider texels' corners.
 
-    A quad is around a corner (x, y) of the wider texels. Own and mixed texels may lie apart. The first quad takes
-    16 + 4 loads and 228 operations for the tents, each further one, which shares three rows, 4 + 4 and 120.
+    16 + 4 loads and 228 operations for the tents.
     """
-    columns = wp.vec4i(
-        mirrored(x - 2, wider.width, wider.edge_x),
-        mirrored(x - 1, wider.width, wider.edge_x),
-        mirrored(x, wider.width, wider.edge_x),
-        mirrored(x + 1, wider.width, wider.edge_x),
-    )
-    left, right = 2 * x > 0, 2 * x < level.width
-    x0, x1 = wp.max(2 * x - 1, 0), wp.min(2 * x, level.width - 1)
-    a, b = tent_row(wider_texels, wider, columns, y - 2), tent_row(wider_texels, wider, columns, y - 1)
-    c = tent_row(wider_texels, wider, columns, y)
-    for corner in range(y, y + count):
-        up, down = 2 * corner > 0, 2 * corner < level.height
-        y0, y1 = wp.max(2 * corner - 1, 0), wp.min(2 * corner, level.height - 1)
-        own0, own1 = own.first + y0 * own.pitch, own.first + y1 * own.pitch
-        p, q = word_value(own_texels, own0 + x0), word_value(own_texels, own0 + x1)
-        r, s = word_value(own_texels, own1 + x0), word_value(own_texels, own1 + x1)
-        d = tent_row(wider_texels, wider, columns, corner + 1)
-        row0, row1 = level.first + y0 * level.pitch, level.first + y1 * level.pitch
+    x, y = block[1] + place[0], block[2] + place[1]
+    if 2 * x <= level.width and 2 * y <= level.height:
+        columns = wp.vec4i(
+            mirrored(x - 2, wider.width, wider.edge_x),
+            mirrored(x - 1, wider.width, wider.edge_x),
+            mirrored(x, wider.width, wider.edge_x),
+            mirrored(x + 1, wider.width, wider.edge_x),
+        )
+        a, b = tent_row(texels, wider, columns, y - 2), tent_row(texels, wider, columns, y - 1)
+        c, d = tent_row(texels, wider, columns, y), tent_row(texels, wider, columns, y + 1)
+        up, down = 2 * y > 0, 2 * y < level.height
+        left, right = 2 * x > 0, 2 * x < level.width
+        x0, x1 = wp.max(2 * x - 1, 0), wp.min(2 * x, level.width - 1)
+        row0 = level.first + wp.max(2 * y - 1, 0) * level.width
+        row1 = level.first + wp.min(2 * y, level.height - 1) * level.width
+        p, q = word_value(texels, row0 + x0), word_value(texels, row0 + x1)
+        r, s = word_value(texels, row1 + x0), word_value(texels, row1 + x1)
         # Stores come last: what is loaded after one has to wait for it.
         if up and left:
             store_double_word(texels, row0 + x0, mixed(p, tent_ahead(a.left, b.left, c.left, d.left), level))
@@ -301,7 +283,6 @@ def upsample_quads(
             store_double_word(texels, row1 + x0, mixed(r, tent_ahead(d.left, c.left, b.left, a.left), level))
         if down and right:
             store_double_word(texels, row1 + x1, mixed(s, tent_ahead(d.right, c.right, b.right, a.right), level))
-        a, b, c = b, c, d
 
 
 @wp.kernel(grid_stride=False)
@@ -321,10 +302,7 @@ def upsample_kernel(
     block = load_vec4i(blocks, pixel_block(thread))
     if views[block[0]].bloom > 0.0:
         level, wider = levels[block[3]], levels[block[3] + 1]
-        place = pixel_in_block(thread)
-        x, y = block[1] + place[0], block[2] + place[1]
-        if 2 * x <= level.width and 2 * y <= level.height:
-            upsample_quads(out_texels, wider, out_texels, level, out_texels, level, x, y, 1)
+        upsample_quad(out_texels, level, wider, block, pixel_in_block(thread))
 
 
 @wp.kernel(grid_stride=False)

@@ -1,28 +1,24 @@
 """Bloom's levels from 2 on, all in one launch: on a GPU a launch of a few thousand texels is nearly all waiting.
 
-**Chain.** The work is cut into items, one a block, listed step by step: down the pyramid, then up. A block takes the
-next one off a counter, waits until all blocks of the step before are done, works and says so. Work is taken in order,
-so whatever a block waits for is in the hands of blocks that run already: any number of blocks may be resident, in any
-order, and none waits for ever. (The decoupled look-back of prefix sums rests on the same; Merrill and Garland 2016,
-"Single-pass Parallel Prefix Scan with Decoupled Look-back".) The last block done sets the counters back to 0. Counting
-releases what a block wrote, and the end of waiting acquires it. Where shade saw nothing bright every block leaves at
-once: cheaper than a conditional node around the launches, which takes about 10 us of an H200 whether it skips them or
-not.
+**Chain.** The work is cut into items of 64 lanes, four a block, listed step by step: down the pyramid, then up. A block
+takes the next four off a counter, waits until all blocks of the step before are done, works and says so. Work is taken
+in order, so whatever a block waits for is in the hands of blocks that run already: any number of blocks may be
+resident, in any order, and none waits for ever. (The decoupled look-back of prefix sums rests on the same; Merrill and
+Garland 2016, "Single-pass Parallel Prefix Scan with Decoupled Look-back".) The last block done sets the counters back
+to 0. Counting releases what a block wrote, and the end of waiting acquires it. Where shade saw nothing bright every
+block leaves at once: cheaper than a conditional node around the launches, which takes about 10 us of an H200 whether
+it skips them or not.
 
-**Together.** A step waits some microseconds on an H200, so that there are few: each on the way down makes three levels,
-and the last goes all the way up, after it has made the one or two levels that no three are left for. What several
-blocks need each makes again, in memory that its lanes share. Every texel is the one that `downsample_kernel` and
-`upsample_kernel` make, to the bit.
+**Together.** A step waits at least 5 us on an H200, so small levels share steps; what several blocks need each makes
+again. Every texel is the one that `downsample_kernel` and `upsample_kernel` make, to the bit. A block keeps a square of
+8 x 8 texels of a level in memory that its lanes share. That is what 2 x 2 texels see on the way down. On the way up it
+is what 8 x 8 texels see, and a square of 8 x 8 again sees no more than 8 x 8 of the level after: one square a level,
+however many levels there are.
 
-Down: a block makes w x h texels of the widest of its levels, (2 w + 4) x (2 h + 4) of the one before, and
-(4 w + 12) x (4 h + 12) of the first. A warp walks down 30 columns of a level, a column a lane and an edge at either
-side: each lane loads two texels of a row, has four from its neighbours, and keeps the sums of the rows that the next
-texel sees, too. Up: texels come in quads around the corners of the wider level's texels. N quads along an axis see
-N / 2 + 2 of the wider level, so that many levels come to little: a block of 32 x 16 quads has 18 x 10, 11 x 7, 8 x 6,
-6 x 5, and 5 x 5 of all others.
-
-At 1080p, six levels, two steps: 132 blocks make levels 2 to 4, 2.05, 1.5 and 1.07 times over; 255 blocks make level 5,
-6 and all mixtures: of level 2 1.4 times over, of level 3 2.4 times. Before, six steps took 37 us.
+`narrow_square` makes two levels, each texel of the finer one four times over: 4 x 36 loads a texel. `widen_square`
+mixes all wider levels into one; its block makes its square of the widest level, 64 x 36 loads, and mixes once a level,
+64 x 16 reads of shared memory. At 1080p either has 510 blocks: level 4 is 32 640 texels instead of 8160, and levels 6,
+5, 4 and 3 on the way up are four squares a block, 130 560 texels instead of 43 110.
 The CPU, where a block is one lane, takes the items one after the other, on one thread.
 """
 
@@ -30,323 +26,187 @@ from __future__ import annotations
 
 import warp as wp
 
-from .bloom import Six, half_texel, mirrored, six_columns, six_sums, six_texels, thirteen_taps, upsample_quads
-from .intrinsics import block_sync, load_double_word, load_vec4i, store_double_word, unpack_half3
-from .lanes import block_levels, block_memory, either, finish_step, next_turn, wait_for_step, warp_width, word_from_lane
+from .bloom import (
+    downsample_pair,
+    half_texel,
+    mirrored,
+    mixed,
+    narrowed,
+    six_sums,
+    tent_ahead,
+    thirteen_taps,
+    upsample_quad,
+    word_value,
+)
+from .intrinsics import load_vec4i, unpack_half3
+from .lanes import finish_step, group_sync, next_turn, shared_double_words, wait_for_step, warp_width
+from .projection import pixel_in_block
 from .structs import Bloom, BloomLevel, View
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BLOCK_DIM = 256
-#: Levels that an item of the way down makes, and its texels of the widest one.
-DOWN = wp.constant(3)
-DOWN_WIDTH = wp.constant(11)
-DOWN_HEIGHT = wp.constant(6)
-#: Quads of level 1 of an item of the way up; the last ones of a row or a column have one more, at the edge.
-UP_WIDTH = wp.constant(32)
-UP_HEIGHT = wp.constant(16)
-#: Words of memory that a block's lanes share, and those of its first part: levels take turns between the two.
-SHARED = 2752
-PART = wp.constant(2304)
+#: Texels of an item's square, and along its side.
+SQUARE = wp.constant(64)
+SIDE = wp.constant(8)
+#: Items of a block: fewer blocks wait, and there are fewer to count.
+ITEMS = wp.constant(4)
+#: Words of memory that an item's lanes share: two squares.
+SHARED = 128
 #: What an item is.
-NARROW, WIDEN = (wp.constant(kind) for kind in range(2))
-
-
-# ---- down
-
-
-@wp.struct
-class RowPair:
-    """A lane's own two texels of two rows."""
-
-    upper_left: wp.uint64
-    upper_right: wp.uint64
-    lower_left: wp.uint64
-    lower_right: wp.uint64
+DOWNSAMPLE, NARROW, WIDEN, UPSAMPLE = (wp.constant(kind) for kind in range(4))
 
 
 @wp.func
-def load_rows(texels: wp.array[wp.uint64], level: BloomLevel, left: wp.int32, right: wp.int32, y: wp.int32):
-    """Texels of rows y and y + 1, mirrored; columns are mirrored already."""
-    upper = level.first + mirrored(y, level.height, level.edge_y) * level.pitch
-    lower = level.first + mirrored(y + 1, level.height, level.edge_y) * level.pitch
-    rows = RowPair()
-    rows.upper_left = load_double_word(texels, upper + left)
-    rows.upper_right = load_double_word(texels, upper + right)
-    rows.lower_left = load_double_word(texels, lower + left)
-    rows.lower_right = load_double_word(texels, lower + right)
-    return rows
+def lane_step():
+    """Texels from one of a lane's to its next."""
+    return wp.where(warp_width() > 1, SQUARE, 1)
 
 
 @wp.func
-def sums_of_six(left: wp.uint64, right: wp.uint64):
-    """Sums of the lane's own two texels of a row and two of either neighbour; all lanes of the warp must call it."""
+def kept(scratch: wp.array[wp.uint64], slot: wp.int32):
+    """Value of a slot of the block's memory."""
+    return unpack_half3(shared_double_words(scratch, False, slot, wp.uint64(0)))
+
+
+@wp.func
+def six_kept(scratch: wp.array[wp.uint64], slot: wp.int32):
+    """Sums of six slots in a row."""
     return six_sums(
-        unpack_half3(word_from_lane(left, -1)),
-        unpack_half3(word_from_lane(right, -1)),
-        unpack_half3(left),
-        unpack_half3(right),
-        unpack_half3(word_from_lane(left, 1)),
-        unpack_half3(word_from_lane(right, 1)),
+        kept(scratch, slot),
+        kept(scratch, slot + 1),
+        kept(scratch, slot + 2),
+        kept(scratch, slot + 3),
+        kept(scratch, slot + 4),
+        kept(scratch, slot + 5),
     )
 
 
-@wp.struct
-class Target:
-    """Where texels go: all to the block's memory, those of a box (x0, y0, x1, y1) to the buffer of all levels."""
-
-    first: wp.int32
-    pitch: wp.int32
-    own_first: wp.int32
-    own_pitch: wp.int32
-    own: wp.vec4i
-
-
 @wp.func
-def row_sums(
-    texels: wp.array[wp.uint64], level: BloomLevel, columns: Six, y: wp.int32, left: wp.uint64, right: wp.uint64
-):
-    """Sums of one row from a lane's own two texels of it; the CPU, where a warp is one lane, loads all six."""
-    if warp_width() > 1:
-        return sums_of_six(left, right)
-    return six_texels(texels, level, columns, y)
-
-
-@wp.func
-def narrow_column(
-    source: wp.array[wp.uint64],
+def narrow_square(
+    texels: wp.array[wp.uint64],
     finer: BloomLevel,
-    texels: wp.array[wp.uint64],
-    memory: wp.array[wp.uint64],
-    to: Target,
-    x: wp.int32,
-    rows: wp.vec2i,
-    made: wp.bool,
-):
-    """Walk down one column of a level; all lanes of a warp must come, and walk as far, be their columns made or not."""
-    columns = six_columns(finer, x)
-    left, right = columns[2], columns[3]
-    before = load_rows(source, finer, left, right, 2 * rows[0] - 2)
-    here = load_rows(source, finer, left, right, 2 * rows[0])
-    ahead = load_rows(source, finer, left, right, 2 * rows[0] + 2)
-    y = 2 * rows[0]
-    a = row_sums(source, finer, columns, y - 2, before.upper_left, before.upper_right)
-    b = row_sums(source, finer, columns, y - 1, before.lower_left, before.lower_right)
-    c = row_sums(source, finer, columns, y, here.upper_left, here.upper_right)
-    d = row_sums(source, finer, columns, y + 1, here.lower_left, here.lower_right)
-    for row in range(rows[0], rows[1]):
-        y = 2 * row
-        e = row_sums(source, finer, columns, y + 2, ahead.upper_left, ahead.upper_right)
-        f = row_sums(source, finer, columns, y + 3, ahead.lower_left, ahead.lower_right)
-        # The next rows are on their way while these are summed; the last ones once more at the end.
-        ahead = load_rows(source, finer, left, right, 2 * wp.min(row + 1, rows[1] - 1) + 2)
-        word = half_texel(thirteen_taps(a, b, c, d, e, f))
-        if made:
-            store_double_word(memory, to.first + row * to.pitch + x, word)
-            if x >= to.own[0] and x < to.own[2] and row >= to.own[1] and row < to.own[3]:
-                store_double_word(texels, to.own_first + row * to.own_pitch + x, word)
-        a, b, c, d = c, d, e, f
-
-
-@wp.func
-def narrow(
-    source: wp.array[wp.uint64],
-    finer: BloomLevel,
-    texels: wp.array[wp.uint64],
-    memory: wp.array[wp.uint64],
-    to: Target,
-    box: wp.vec4i,
-    lane: wp.int32,
-):
-    """Fill a box (x0, y0, x1, y1), not empty, of a level from the next finer one; all lanes of the block must come.
-
-    Every warp has a strip of it, as high as leaves none without one.
-    """
-    wide = warp_width() > 1
-    warps, width = wp.where(wide, BLOCK_DIM // 32, 1), wp.where(wide, 30, 1)
-    groups = (box[2] - box[0] + width - 1) // width
-    strips = wp.max(warps // groups, 1)
-    height = (box[3] - box[1] + strips - 1) // strips
-    for job in range(lane // 32, groups * strips, warps):
-        # An edge at either side.
-        column = wp.where(wide, (lane & 31) - 1, 0)
-        x = box[0] + job % groups * width + column
-        made = column >= 0 and column < width and x < box[2]
-        y = box[1] + job // groups * height
-        rows = wp.vec2i(wp.min(y, box[3]), wp.min(y + height, box[3]))
-        # Lanes further out than the edge have nothing to give either.
-        if rows[0] < rows[1]:
-            narrow_column(source, finer, texels, memory, to, wp.min(x, box[2]), rows, made)
-
-
-@wp.func
-def narrow_square(tile: wp.vec4i, steps: wp.int32):
-    """Square (x, y, width, height) of a level that a square of the level some steps wider is made from."""
-    edge = 2 * (1 << steps) - 2
-    return wp.vec4i(
-        (tile[0] << steps) - edge,
-        (tile[1] << steps) - edge,
-        (tile[2] << steps) + 2 * edge,
-        (tile[3] << steps) + 2 * edge,
-    )
-
-
-@wp.func
-def part_of(depth: wp.int32):
-    """Where the block's memory keeps a level."""
-    return wp.where((depth & 1) != 0, 0, PART)
-
-
-@wp.func
-def kept_level(level: BloomLevel, kept: wp.bool, square: wp.vec4i, first: wp.int32):
-    """A level, or what the block's memory keeps of it from `first` on, a square (x, y, width, height).
-
-    All that is asked for, once mirrored, is within the square.
-    """
-    out = BloomLevel()
-    out.first = wp.where(kept, first - square[1] * square[2] - square[0], level.first)
-    out.pitch = wp.where(kept, square[2], level.pitch)
-    out.width = level.width
-    out.height = level.height
-    out.edge_x = level.edge_x
-    out.edge_y = level.edge_y
-    out.wider = level.wider
-    out.last = level.last
-    return out
-
-
-@wp.func
-def narrow_levels(
-    texels: wp.array[wp.uint64],
-    memory: wp.array[wp.uint64],
-    levels: wp.array[BloomLevel],
-    depth: wp.int32,
-    count: wp.int32,
-    tile: wp.vec4i,
-    shared: wp.bool,
-    lane: wp.int32,
-):
-    """Make some levels from one, up to a tile (x, y, width, height) of the widest; all lanes of the block must come.
-
-    All are kept in memory; the buffer of all levels gets what is above the tile, if it is the block's alone.
-    """
-    for k in range(count):
-        steps = count - 1 - k
-        finer, level = levels[depth + k], levels[depth + k + 1]
-        square = narrow_square(tile, steps)
-        source = kept_level(finer, k > 0, narrow_square(tile, steps + 1), part_of(depth + k))
-        kept = kept_level(level, True, square, part_of(depth + k + 1))
-        to = Target()
-        to.first = kept.first
-        to.pitch = kept.pitch
-        to.own_first = level.first
-        to.own_pitch = level.pitch
-        if not shared:
-            to.own = wp.vec4i(tile[0], tile[1], tile[0] + tile[2], tile[1] + tile[3]) * (1 << steps)
-        box = wp.vec4i(
-            wp.max(square[0], 0),
-            wp.max(square[1], 0),
-            wp.min(square[0] + square[2], level.width),
-            wp.min(square[1] + square[3], level.height),
-        )
-        narrow(either(k > 0, memory, texels), source, texels, memory, to, box, lane)
-        block_sync()
-
-
-# ---- up
-
-
-@wp.func
-def seen(quads: wp.vec4i, levels: wp.int32):
-    """Quads (x, y, width, height) of a level some levels wider that quads of a level see."""
-    return wp.vec4i(
-        ((quads[0] + 1) >> levels) - 1,
-        ((quads[1] + 1) >> levels) - 1,
-        4 - ((4 - quads[2]) >> levels),
-        4 - ((4 - quads[3]) >> levels),
-    )
-
-
-@wp.func
-def quads_of(level: BloomLevel, item: wp.vec4i):
-    """Quads (x, y, width, height) of an item; the last ones of a level have no lone row or column left beside them."""
-    right, below = level.width // 2, level.height // 2
-    width = wp.where(item[1] + UP_WIDTH < right, UP_WIDTH, right + 1 - item[1])
-    height = wp.where(item[2] + UP_HEIGHT < below, UP_HEIGHT, below + 1 - item[2])
-    return wp.vec4i(item[1], item[2], width, height)
-
-
-@wp.func
-def quad_square(quads: wp.vec4i):
-    """Square (x, y, width, height) of the texels of quads."""
-    return wp.vec4i(2 * quads[0] - 1, 2 * quads[1] - 1, 2 * quads[2], 2 * quads[3])
-
-
-@wp.func
-def upsample_square(
-    wider_texels: wp.array[wp.uint64],
-    wider: BloomLevel,
-    own_texels: wp.array[wp.uint64],
-    own: BloomLevel,
-    texels: wp.array[wp.uint64],
     level: BloomLevel,
-    quads: wp.vec4i,
+    wider: BloomLevel,
+    scratch: wp.array[wp.uint64],
+    square: wp.vec4i,
     lane: wp.int32,
 ):
-    """Mix some quads (x, y, width, height) of a level, those that the picture has, with the wider levels."""
-    lanes = wp.where(warp_width() > 1, BLOCK_DIM, 1)
-    x0, y0 = wp.max(quads[0], 0), wp.max(quads[1], 0)
-    width = wp.min(quads[0] + quads[2], level.width // 2 + 1) - x0
-    end = wp.min(quads[1] + quads[3], level.height // 2 + 1)
-    # As many lanes as there are, each a few quads down a column.
-    height = (width * (end - y0) + lanes - 1) // lanes
-    strips = (end - y0 + height - 1) // height
-    for k in range(lane, width * strips, lanes):
-        x, y = x0 + k % width, y0 + k // width * height
-        count = wp.min(height, end - y)
-        upsample_quads(wider_texels, wider, own_texels, own, texels, level, x, y, count)
+    """Fill two levels from the next finer one: 2 x 2 texels of the second; all lanes of the block must come."""
+    for k in range(lane, SQUARE, lane_step()):
+        i, j = k & (SIDE - 1), k // SIDE
+        x, y = 2 * square[1] - 2 + i, 2 * square[2] - 2 + j
+        mx, my = mirrored(x, level.width, level.edge_x), mirrored(y, level.height, level.edge_y)
+        word = half_texel(narrowed(texels, finer, mx, my))
+        shared_double_words(scratch, True, k, word)
+        # The middle is the block's own.
+        if wp.min(i, j) >= 2 and wp.max(i, j) < SIDE - 2 and x < level.width and y < level.height:
+            texels[level.first + y * level.width + x] = word
+    group_sync()
+    for k in range(lane, 4, lane_step()):
+        i, j = k & 1, k // 2
+        x, y = square[1] + i, square[2] + j
+        if x < wider.width and y < wider.height:
+            slot = 2 * (j * SIDE + i)
+            a, b = six_kept(scratch, slot), six_kept(scratch, slot + SIDE)
+            c, d = six_kept(scratch, slot + 2 * SIDE), six_kept(scratch, slot + 3 * SIDE)
+            e, f = six_kept(scratch, slot + 4 * SIDE), six_kept(scratch, slot + 5 * SIDE)
+            texels[wider.first + y * wider.width + x] = half_texel(thirteen_taps(a, b, c, d, e, f))
 
 
 @wp.func
-def widen_levels(
+def square_start(x: wp.int32, levels: wp.int32):
+    """First texel of the square that a square from x on sees some levels wider."""
+    start = wp.int32(x)
+    for _ in range(levels):
+        start = (start >> 1) - 2
+    return start
+
+
+@wp.func
+def four_slots(x: wp.int32, start: wp.int32):
+    """Places in the wider level's square that texel x sees, its own side's first, as `tent_ahead` takes them.
+
+    Texels outside the level see too far; no one looks at them.
+    """
+    step = 2 * (x & 1) - 1
+    place = (x >> 1) - start
+    return wp.vec4i(
+        wp.clamp(place - step, 0, SIDE - 1),
+        wp.clamp(place, 0, SIDE - 1),
+        wp.clamp(place + step, 0, SIDE - 1),
+        wp.clamp(place + 2 * step, 0, SIDE - 1),
+    )
+
+
+@wp.func
+def tent_kept(scratch: wp.array[wp.uint64], slot: wp.int32, columns: wp.vec4i):
+    """One row under the tent."""
+    return tent_ahead(
+        kept(scratch, slot + columns[0]),
+        kept(scratch, slot + columns[1]),
+        kept(scratch, slot + columns[2]),
+        kept(scratch, slot + columns[3]),
+    )
+
+
+@wp.func
+def widened(
     texels: wp.array[wp.uint64],
-    memory: wp.array[wp.uint64],
+    scratch: wp.array[wp.uint64],
+    half: wp.int32,
+    level: BloomLevel,
+    at: wp.vec2i,
+    start: wp.vec2i,
+):
+    """Texel of a level, mixed with the wider one, whose square begins at start and is in a half of the memory."""
+    columns, rows = four_slots(at[0], start[0]), four_slots(at[1], start[1]) * SIDE
+    own = word_value(texels, level.first + at[1] * level.width + at[0])
+    a = tent_kept(scratch, half + rows[0], columns)
+    b = tent_kept(scratch, half + rows[1], columns)
+    c = tent_kept(scratch, half + rows[2], columns)
+    d = tent_kept(scratch, half + rows[3], columns)
+    return mixed(own, tent_ahead(a, b, c, d), level)
+
+
+@wp.func
+def widen_square(
+    texels: wp.array[wp.uint64],
     levels: wp.array[BloomLevel],
-    count: wp.int32,
-    quads: wp.vec4i,
-    made: wp.int32,
-    tile: wp.vec4i,
+    scratch: wp.array[wp.uint64],
+    square: wp.vec4i,
     lane: wp.int32,
 ):
-    """Mix all wider levels into quads of a level; all lanes of the block must come.
+    """Mix all wider levels, at least two, into 8 x 8 texels of a level; all lanes of the block must come.
 
-    Memory keeps the widest levels, as many as were made there from a tile of the widest, and of all others but the
-    finest what they are mixed to.
+    The widest level is made here and kept nowhere.
     """
-    for k in range(count):
-        depth = count - 1 - k
-        level, wider = levels[depth], levels[depth + 1]
-        own_made, wider_made = depth > count - made, depth + 1 > count - made
-        square = quad_square(seen(quads, depth))
-        if own_made:
-            square = narrow_square(tile, count - depth)
-        wider_square = quad_square(seen(quads, depth + 1))
-        if wider_made:
-            wider_square = narrow_square(tile, count - depth - 1)
-        upsample_square(
-            either(wider_made or k > 0, memory, texels),
-            kept_level(wider, wider_made or k > 0, wider_square, part_of(depth + 1)),
-            either(own_made, memory, texels),
-            kept_level(level, own_made, square, part_of(depth)),
-            either(depth > 0, memory, texels),
-            kept_level(level, depth > 0, square, part_of(depth)),
-            seen(quads, depth),
-            lane,
-        )
-        block_sync()
+    last = levels[square[3]].last
+    widest, finer = levels[last], levels[last - 1]
+    start = wp.vec2i(square_start(square[1], last - square[3]), square_start(square[2], last - square[3]))
+    for k in range(lane, SQUARE, lane_step()):
+        mx = mirrored(start[0] + (k & (SIDE - 1)), widest.width, widest.edge_x)
+        my = mirrored(start[1] + k // SIDE, widest.height, widest.edge_y)
+        shared_double_words(scratch, True, k, half_texel(narrowed(texels, finer, mx, my)))
+    half = wp.int32(0)
+    for n in range(last - square[3]):
+        steps = last - square[3] - 1 - n
+        level = levels[square[3] + steps]
+        wider_start = wp.vec2i(square_start(square[1], steps + 1), square_start(square[2], steps + 1))
+        x0, y0 = square_start(square[1], steps), square_start(square[2], steps)
+        group_sync()
+        for k in range(lane, SQUARE, lane_step()):
+            x, y = x0 + (k & (SIDE - 1)), y0 + k // SIDE
+            at = wp.vec2i(mirrored(x, level.width, level.edge_x), mirrored(y, level.height, level.edge_y))
+            word = widened(texels, scratch, half, level, at, wider_start)
+            if steps > 0:
+                shared_double_words(scratch, True, (SQUARE - half) + k, word)
+            elif x < level.width and y < level.height:
+                texels[level.first + y * level.width + x] = word
+        half = SQUARE - half
 
 
-@wp.kernel(grid_stride=False, launch_bounds=(BLOCK_DIM, 3))
+@wp.kernel(grid_stride=False)
 def chain_kernel(
     # Frame
     views: wp.array[View],
@@ -360,41 +220,36 @@ def chain_kernel(
     out_counters: wp.array[wp.int32],
     out_texels: wp.array[wp.uint64],
 ):
-    """Turn level 1 into bloom: a block an item.
+    """Turn level 1 into bloom: a block four items.
 
-    Items are view, x, y and row of `levels`: of the finest level seen and the texel of the widest made on the way down,
-    of level 1 and its quad on the way up. `steps` has for each block the number of its step, what it is, the blocks of
-    the step before, and those of its own, negative in the last step.
+    Items are view, x, y and row of `levels`, with view -1 where a step has no fourth one; `steps` has for each block
+    the number of its step, what it is, the blocks of the step before, and those of its own, negative in the last step.
     """
-    # The same for the whole block, as all that follows.
+    # The same for the whole block, as all that follows up to its items.
     if bloom.bright[0] == 0:
         return
     thread = wp.tid()
-    lane = thread % BLOCK_DIM
+    lane = thread & (SQUARE - 1)
     turn = next_turn(out_counters, thread // BLOCK_DIM)
-    if warp_width() == 1 and lane > 0:
-        return
-    item, step = load_vec4i(items, turn), load_vec4i(steps, turn)
+    item = load_vec4i(items, turn * ITEMS + (thread & (BLOCK_DIM - 1)) // SQUARE)
+    step = load_vec4i(steps, turn)
     # What does not change is on its way while the block waits.
-    up = step[1] == WIDEN
-    share = views[item[0]].bloom
-    finest = bloom.levels[item[3]]
-    wider = finest.last - item[3]
-    memory = block_memory(scratch)
-    # Levels from the finest on that the block sees, and that it makes the next wider ones of.
-    depth, count = wp.int32(0), wp.min(wider, DOWN)
-    tile = wp.vec4i(item[1], item[2], DOWN_WIDTH, DOWN_HEIGHT)
-    quads = quads_of(finest, item)
-    if up:
-        # Of level 1 nothing is made: other blocks may have mixed it already.
-        count = wp.where(wider > DOWN, wider % DOWN, 0)
-        depth = wider - count
-        last = seen(quads, wider - 1)
-        tile = wp.vec4i(last[0] - 2, last[1] - 2, last[2] + 3, last[3] + 3)
-    levels = block_levels(bloom.levels, item[3], wp.where(up, wider, count) + 1)
+    kind, row = step[1], wp.max(item[3], 0)
+    share = wp.float32(0.0)
+    if item[0] >= 0:
+        share = views[item[0]].bloom
+    level = bloom.levels[row]
+    other = bloom.levels[wp.where(kind == UPSAMPLE, row + 1, wp.max(row - 1, 0))]
+    finest = bloom.levels[wp.max(row - 2, 0)]
     wait_for_step(out_counters, step[0], step[2])
     if share > 0.0:
-        narrow_levels(out_texels, memory, levels, depth, count, tile, up, lane)
-        if up:
-            widen_levels(out_texels, memory, levels, wider, quads, count, tile, lane)
+        if kind == DOWNSAMPLE:
+            downsample_pair(out_texels, level, other, item, pixel_in_block(thread))
+        elif kind == UPSAMPLE:
+            upsample_quad(out_texels, level, other, item, pixel_in_block(thread))
+        elif lane == 0 or warp_width() > 1:
+            if kind == NARROW:
+                narrow_square(out_texels, finest, other, level, scratch, item, lane)
+            else:
+                widen_square(out_texels, bloom.levels, scratch, item, lane)
     finish_step(out_counters, step[0], step[3])

@@ -47,23 +47,6 @@ def fnma(a: wp.float32, b: wp.float32, c: wp.float32) -> wp.float32:
 
 
 @wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return wp::vec_t<3, wp::float32>(
-        __fmaf_rn(value[0], factor, sum[0]), __fmaf_rn(value[1], factor, sum[1]), __fmaf_rn(value[2], factor, sum[2])
-    );
-#else
-    return value * factor + sum;
-#endif
-""")
-def add_exact(sum: wp.vec3, value: wp.vec3, factor: wp.float32) -> wp.vec3:
-    """Sum of a vector and a product that needs no rounding: the same bits as of two operations, in one on CUDA.
-
-    Exact are a power of two times anything, and a half times a factor of up to 13 bits.
-    """
-    ...
-
-
-@wp.func_native("""
     float value;
 #if defined(__CUDA_ARCH__)
     asm("fma.rn.sat.f32 %0, %1, %2, %3;" : "=f"(value) : "f"(a), "f"(b), "f"(c));

@@ -1,4 +1,4 @@
-"""What the lanes of a warp see of each other, memory that those of a block share, and steps of blocks in one launch.
+"""What the lanes of a warp see of each other, and memory that those of a block share, for double words.
 
 On the CPU a warp and a block are one lane. Functions only.
 """
@@ -6,8 +6,6 @@ On the CPU a warp and a block are one lane. Functions only.
 from __future__ import annotations
 
 import warp as wp
-
-from .structs import BloomLevel
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -57,52 +55,34 @@ def any_lane(flag: wp.bool) -> wp.bool:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, value, (threadIdx.x + offset) & 31);
+    __shared__ wp::uint64 words[512];
+    wp::uint64* own = words + (threadIdx.x >> 6) * 128;
+    if (storing) {
+        own[index] = value;
+        return value;
+    }
+    return own[index];
 #else
-    return value;
+    if (storing)
+        scratch.data[index] = value;
+    return scratch.data[index];
 #endif
 """)
-def word_from_lane(value: wp.uint64, offset: wp.int32) -> wp.uint64:
-    """`from_lane` of a double word."""
-    ...
+def shared_double_words(scratch: wp.array[wp.uint64], storing: wp.bool, index: wp.int32, value: wp.uint64) -> wp.uint64:
+    """Store to, or read from, 1 KiB of memory that 64 lanes of a block of 256 share; `group_sync` between the two.
 
-
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    __shared__ wp::uint64 words[2752];
-    return wp::array_t<wp::uint64>(words, 2752);
-#else
-    return scratch;
-#endif
-""")
-def block_memory(scratch: wp.array[wp.uint64]) -> wp.array[wp.uint64]:
-    """Memory that the lanes of a block share, 21.5 KiB, as an array; `block_sync` between stores and loads.
-
-    The CPU, where a block is one lane, uses `scratch` instead, in launches of one thread.
+    The CPU, where a block is one lane, uses `scratch` instead, at least 128 elements, in launches of one thread.
     """
     ...
 
 
 @wp.func_native("""
-    auto rows = levels;
 #if defined(__CUDA_ARCH__)
-    __shared__ wp::uint64 words[16 * sizeof(*levels.data) / sizeof(wp::uint64)];
-    rows.data = reinterpret_cast<decltype(rows.data)>(words);
-    for (int k = threadIdx.x; k < count; k += blockDim.x)
-        rows.data[k] = levels.data[first + k];
-#else
-    rows.data += first;
+    asm volatile("bar.sync %0, 64;" : : "r"(1 + (threadIdx.x >> 6)) : "memory");
 #endif
-    return rows;
 """)
-def block_levels(levels: wp.array[BloomLevel], first: wp.int32, count: wp.int32) -> wp.array[BloomLevel]:
-    """Copy of some rows, at most 16, that the lanes of a block share; all its lanes must call it, then `block_sync`."""
-    ...
-
-
-@wp.func_native("return flag ? one : other;")
-def either(flag: wp.bool, one: wp.array[wp.uint64], other: wp.array[wp.uint64]) -> wp.array[wp.uint64]:
-    """One of two arrays."""
+def group_sync():
+    """Wait for the 64 lanes of a group, all of which must arrive; a block of 256 has four."""
     ...
 
 

@@ -1,7 +1,7 @@
 """Structs shared by all kernels, and the constants that host and device agree on.
 
 Sizes in bytes (asserted by tests/kernels/test_structs.py): View 208, Transform 64, Instance 80, Pair 92, Cluster 48,
-LargeTriangle 48, BloomLevel 32, Material 128 on the device plus its textures' handles.
+LargeTriangle 48, BloomLevel 28, Material 128 on the device plus its textures' handles.
 
 Only arrays whose content may change from frame to frame hold per-frame values; a captured graph freezes what is
 passed by value, so everything here that changes lives in device arrays of these structs.
@@ -332,7 +332,6 @@ class BloomLevel:
     edge_y: wp.int32
     wider: wp.float32  # share of the wider levels in what this one hands on; 0: there are none
     last: wp.int32  # row of the view's widest level
-    pitch: wp.int32  # texels from one row to the next: the width, but for a part of a level that a block keeps
 
 
 @wp.struct

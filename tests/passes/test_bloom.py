@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import reference
 from bloom_harness import KEEP, RUNGS, Blooming, bloom_of, gaussians_of, lamps, noise, request_of, rung, shown
-from warp_deferred.kernels import bloom_chain
 
-from warp_deferred.passes.bloom import BloomPass
+from warp_deferred.passes.bloom import CHAINED, KINDS, BloomPass
 from warp_deferred.views import ViewLayout, ViewSize
 
 SIZES = [(64, 48), (33, 17), (1, 1), (1, 9), (7, 1), (2, 2), (135, 40), (65, 129)]
@@ -110,10 +109,9 @@ def test_m2_a_constant_image_stays(name, fireflies, width, height, device):
         stage.run()
         count = 1
         if name == "mip_chain":
-            # The chain keeps nowhere what is left over when three levels are made at a time.
-            wider = stage.stage.pyramid.count - 1
-            left_over = wider % 3 if stage.stage.chained and wider > 3 else 0
-            count = 1 + wider - left_over
+            # The chain keeps the widest level nowhere where it widens.
+            pyramid = stage.stage.pyramid
+            count = pyramid.count - (stage.stage.chained and "widen" in dict(pyramid.steps(True)))
         for index in range(count):
             level = stage.level(index=index)
             np.testing.assert_allclose(level, np.broadcast_to(image[0, 0], level.shape), rtol=1e-6)
@@ -238,9 +236,15 @@ def test_threads_change_no_bit(name):
     assert np.array_equal(one.level(), three.level())
 
 
-def check_chain(sizes, radius, device, shares):
+@pytest.mark.parametrize("radius", [0.07, 0.5])
+@pytest.mark.parametrize(
+    "sizes", [[(64, 48)], [(33, 17)], [(3, 300), (135, 40), (65, 129)], [(640, 360)], [(641, 363), (97, 61), (1, 1)]]
+)
+def test_levels_made_together_have_the_bits_of_levels_made_one_by_one(sizes, radius, device):
     """What `chain_kernel` makes in two frames against `downsample_kernel` and `upsample_kernel`."""
     pictures = [noise(w, h, seed) for seed, (w, h) in enumerate(sizes)]
+    # A view that does not scatter makes nothing.
+    shares = np.linspace(0.0 if len(sizes) == 3 else 1.0, 1.0, len(sizes))
     fields = ("bloom.threshold=0", f"bloom.radius={radius}")
     alone, together = (
         Blooming(pictures, *fields, shares=shares, together=t, device=device).run().run() for t in (False, True)
@@ -248,75 +252,26 @@ def check_chain(sizes, radius, device, shares):
     assert together.stage.chained and not alone.stage.chained
     assert not together.stage.counters.numpy().any()
     for v, share in enumerate(shares):
-        assert np.array_equal(alone.level(v), together.level(v), equal_nan=True), (sizes, radius, v)
+        assert np.array_equal(alone.level(v), together.level(v), equal_nan=True)
         assert np.isfinite(together.level(v)).all() == (share > 0.0)
-    return together.stage.pyramid
+    if radius == 0.5 and sizes[0] == (64, 48):
+        assert [name for name, _ in together.stage.pyramid.steps(True)] == ["narrow", "widen"]
 
 
-@pytest.mark.parametrize("radius", [0.07, 0.5])
-@pytest.mark.parametrize(
-    "sizes", [[(64, 48)], [(33, 17)], [(3, 300), (135, 40), (65, 129)], [(640, 360)], [(641, 363), (97, 61), (1, 1)]]
-)
-def test_levels_made_together_have_the_bits_of_levels_made_one_by_one(sizes, radius, device):
-    # A view that does not scatter makes nothing.
-    shares = np.linspace(0.0 if len(sizes) == 3 else 1.0, 1.0, len(sizes))
-    pyramid = check_chain(sizes, radius, device, shares)
-    if sizes[0] == (640, 360):
-        assert pyramid.count == (4 if radius == 0.07 else 7)
-
-
-def test_views_of_any_shape_have_the_bits_of_levels_made_one_by_one(device):
-    """Shapes around the tiles' edges, flat and steep ones, from 1 level to 13; none, some and three left over."""
-    rng, counts = np.random.default_rng(11), set()
-    batches = [[(128 + d, 64 + e) for d in (-2, -1, 0, 1, 2, 3) for e in (-1, 0, 1, 2)]]
-    batches += [[(176 + 16 * d + e, 96 + e) for d in (-1, 0, 1) for e in (-1, 0, 1)]]
-    batches += [[tuple(int(2.0**e) for e in rng.uniform(0.0, (6.0, 8.0))) for _ in range(5)] for _ in range(6)]
-    batches += [[(2, 4000)], [(1, 16000), (700, 3), (2, 8000)], [(9, 1500), (5, 700)]]
-    for sizes in batches:
-        for radius in (0.03, 0.07, 0.15, 0.5):
-            counts |= set(check_chain(sizes, radius, device, np.ones(len(sizes))).counts)
-    assert counts >= set(range(1, 13))
-
-
-@pytest.mark.gpu
-@pytest.mark.parametrize("size", [(1920, 1080), (3840, 2160), (2561, 1441)])
-@pytest.mark.parametrize("radius", [0.07, 0.3])
-def test_large_views_have_the_bits_of_levels_made_one_by_one(size, radius, cuda_device):
-    check_chain([size], radius, cuda_device, [1.0])
-
-
-def test_all_that_a_block_keeps_of_levels_fits_its_memory():
-    """Squares of levels by depth, of the largest item of the way up and of any one of the way down."""
-    parts = (bloom_chain.SHARED - bloom_chain.PART, bloom_chain.PART)
-
-    def narrow_square(width, height, steps):
-        return ((width << steps) + 4 * ((1 << steps) - 1)) * ((height << steps) + 4 * ((1 << steps) - 1))
-
-    for steps in range(bloom_chain.DOWN):
-        depth = bloom_chain.DOWN - steps
-        assert narrow_square(bloom_chain.DOWN_WIDTH, bloom_chain.DOWN_HEIGHT, steps) <= parts[depth % 2]
-    longest = (bloom_chain.UP_WIDTH + 1, bloom_chain.UP_HEIGHT + 1)
-    quads = [[4 - ((4 - length) >> depth) for length in longest] for depth in range(14)]
-    for depth in range(1, 14):
-        assert 4 * quads[depth][0] * quads[depth][1] <= parts[depth % 2]
-    for widest in range(bloom_chain.DOWN + 1, 14):
-        for steps in range(widest % bloom_chain.DOWN):
-            seen = [length + 3 for length in quads[widest - 1]]
-            assert narrow_square(*seen, steps) <= parts[(widest - steps) % 2]
-
-
-def test_a_1080p_frame_takes_two_steps():
+def test_a_1080p_frame_takes_six_steps_of_waiting():
     request = request_of((ViewSize(1920, 1080),))
     pyramid = BloomPass().bound(request, ViewLayout(request.sizes, 16)).pyramid
+    names = ["downsample", "downsample", "narrow", "widen", "upsample", "upsample"]
+    assert [name for name, _ in pyramid.steps(True)] == names
     items, steps, count = pyramid.chain()
-    # Not fewer blocks than an H200 has multiprocessors, nor more than two of them each.
-    assert count == 2 and len(items) == len(steps) == 132 + 255
-    # What it is, the blocks it waits for, and those that are counted: negative in the last step.
-    assert (steps[:132] == (0, bloom_chain.NARROW, 0, 132)).all()
-    assert (steps[132:] == (1, bloom_chain.WIDEN, 132, -255)).all()
-    # No tile is cut off.
-    assert items[:132, 1].max() == 120 - bloom_chain.DOWN_WIDTH and items[:132, 2].max() == 68 - bloom_chain.DOWN_HEIGHT
-    assert not items[:, 3].any()
+    assert count == 6 and len(items) == CHAINED * len(steps) and (np.diff(steps[:, 0]) >= 0).all()
+    sizes = np.bincount(steps[:, 0])
+    for k, (name, blocks) in enumerate(pyramid.steps(True)):
+        own = items.reshape(-1, CHAINED, 4)[steps[:, 0] == k].reshape(-1, 4)
+        assert np.array_equal(own[: len(blocks)], blocks) and (own[len(blocks) :] == -1).all()
+        # What it is, the blocks it waits for, and those that are counted: negative in the last step.
+        row = (k, KINDS.index(name), sizes[k - 1] if k else 0, sizes[k] if k < 5 else -sizes[k])
+        assert (steps[steps[:, 0] == k] == row).all()
 
 
 @pytest.mark.gpu

@@ -22,6 +22,15 @@ __all__ = ["BloomPass", "Pyramid", "bright_level", "level_count", "make_bloom", 
 
 #: A level more than any picture has pixels for would be one texel of everything, like the one before.
 MAX_LEVELS = 14
+#: Kinds of launches, or of steps of the chain, in the order of its constants.
+KINDS = ("downsample", "narrow", "widen", "upsample")
+#: Items of a block of the chain, as in its kernel file.
+CHAINED = 4
+#: Most texels, of all views, of the level that a single launch mixes all wider ones into: level 3 at 1080p. It makes
+#: as many again of each of those.
+WIDEN_TEXELS = 65536
+#: Most texels, of all views, of the finer of two levels that a launch makes; it makes four times as many.
+NARROW_TEXELS = 16384
 #: A half keeps 11 bits: shade must not miss a pixel that only its rounding lifts above the threshold.
 ROUNDING = 1.0 - 2.0**-10
 
@@ -97,7 +106,7 @@ class Pyramid:
                 width, height = -(-size.width // texel), -(-size.height // texel)
                 edges = [math.floor(2 * length / texel + 0.5) for length in (size.width, size.height)]
                 wider = share[k + 1 :].sum() / share[k:].sum()
-                rows[v, k] = (first, width, height, *edges, wider, v * most + count - 1, width)
+                rows[v, k] = (first, width, height, *edges, wider, v * most + count - 1)
                 first += width * height
         return cls(rows.reshape(-1), most, counts, first)
 
@@ -128,45 +137,46 @@ class Pyramid:
         """Views that have a level."""
         return [v for v, count in enumerate(self.counts) if count > level]
 
-    def steps(self) -> list[tuple[str, np.ndarray]]:
-        """Launches that turn level 1 into bloom, a level each: "downsample" or "upsample", and blocks."""
+    def first_below(self, limit: int) -> int:
+        """Finest level of which all views together have no more texels than a limit; `count` if none."""
+        areas = self.rows["width"].astype(np.int64) * self.rows["height"]
+        totals = areas.reshape(-1, max(self.count, 1)).sum(axis=0)
+        return next((k for k in range(self.count) if totals[k] <= limit), self.count)
+
+    def steps(self, together: bool) -> list[tuple[str, np.ndarray]]:
+        """Steps that turn level 1 into bloom: one of KINDS, and blocks.
+
+        Args:
+            together: Make several small levels in a step: the same texels, less waiting, more work.
+        """
+        mixed = self.first_below(WIDEN_TEXELS) if together else self.count
+        pairs = max(1, self.first_below(NARROW_TEXELS)) if together else self.count
+        widened = {v for v in self.having(mixed + 2)}
+        # `widen_kernel` makes the widest level itself.
+        made = [count - (v in widened) for v, count in enumerate(self.counts)]
         steps = []
         for k in range(1, self.count):
-            # A thread makes two texels, one below the other.
-            steps.append(("downsample", self.blocks(k, self.having(k), (8, 8), lambda w, h: (w, -(-h // 2)))))
+            second = k > pairs and (k - pairs) % 2 == 1
+            paired = [v for v in self.having(k + 1) if k >= pairs and not second and k + 1 < made[v]]
+            alone = [v for v in self.having(k) if k < made[v] and not second and v not in paired]
+            steps += [("downsample", self.blocks(k, alone, (8, 8), lambda w, h: (w, -(-h // 2))))]
+            steps += [("narrow", self.blocks(k + 1, paired, (2, 2)))]
+        steps.append(("widen", self.blocks(mixed, sorted(widened), (8, 8))))
         for k in reversed(range(self.count - 1)):
+            views = [v for v in self.having(k + 1) if k < mixed or v not in widened]
             # Corners of the wider level's texels.
-            blocks = self.blocks(k, self.having(k + 1), (8, 8), lambda w, h: (w // 2 + 1, h // 2 + 1))
-            steps.append(("upsample", blocks))
-        return steps
+            steps.append(("upsample", self.blocks(k, views, (8, 8), lambda w, h: (w // 2 + 1, h // 2 + 1))))
+        return [(name, blocks) for name, blocks in steps if len(blocks)]
 
     def chain(self) -> tuple[np.ndarray, np.ndarray, int]:
-        """Steps of `chain_kernel`: items, what it knows of each, both (b, 4) int32, and how many steps."""
-        from ..kernels import bloom_chain as chain
-
-        steps, tile = [], (chain.DOWN_WIDTH, chain.DOWN_HEIGHT)
-        for k in range(chain.DOWN, max(self.count, chain.DOWN + 1), chain.DOWN):
-            views = self.having(k)
-            groups = [(k, views)]
-            if k == chain.DOWN:
-                groups += [(c - 1, [v for v in self.having(1) if self.counts[v] == c]) for c in range(2, k + 1)]
-            blocks = np.concatenate([self.blocks(widest, views, tile) for widest, views in groups])
-            # No tile is cut off where the level has enough texels: what is mirrored is then within it, too.
-            level = self.rows[blocks[:, 3]]
-            blocks[:, 1] = np.minimum(blocks[:, 1], np.maximum(level["width"] - tile[0], 0))
-            blocks[:, 2] = np.minimum(blocks[:, 2], np.maximum(level["height"] - tile[1], 0))
-            blocks[:, 3] += k - chain.DOWN - blocks[:, 3] % self.count
-            steps.append((chain.NARROW, blocks))
-        tile = (chain.UP_WIDTH, chain.UP_HEIGHT)
-        # Of w / 2 + 1 corners a last one belongs to the tile before.
-        blocks = self.blocks(0, self.having(1), tile, lambda w, h: (max(w // 2, 1), max(h // 2, 1)))
-        steps = [(kind, blocks) for kind, blocks in [*steps, (chain.WIDEN, blocks)] if len(blocks)]
-        items, rows, before = [np.zeros((0, 4), np.int32)], [np.zeros((0, 4), np.int32)], 0
-        for k, (kind, blocks) in enumerate(steps):
-            row = (k, kind, before, len(blocks) if k + 1 < len(steps) else -len(blocks))
-            items.append(blocks)
-            rows.append(np.tile(np.array(row, np.int32), (len(blocks), 1)))
-            before = len(blocks)
+        """All steps in a list: items, what `chain_kernel` knows of each four, both (b, 4) int32, and how many steps."""
+        items, rows, steps, before = [np.zeros((0, 4), np.int32)], [np.zeros((0, 4), np.int32)], self.steps(True), 0
+        for k, (name, blocks) in enumerate(steps):
+            count = -(-len(blocks) // CHAINED)
+            items += [blocks, np.full((count * CHAINED - len(blocks), 4), -1, np.int32)]
+            row = (k, KINDS.index(name), before, count if k + 1 < len(steps) else -count)
+            rows.append(np.tile(np.array(row, np.int32), (count, 1)))
+            before = count
         return np.concatenate(items), np.concatenate(rows), len(steps)
 
 
@@ -253,7 +263,7 @@ class BloomPass(Pass):
         elif self.chained:
             self._prepare_chain(device)
         else:
-            steps = pyramid.steps()
+            steps = pyramid.steps(False)
         self.steps = [
             (getattr(bloom, f"{name}_kernel"), table_array(blocks, device), len(blocks)) for name, blocks in steps
         ]
@@ -313,7 +323,7 @@ class BloomPass(Pass):
             items, steps, count = self.items
             inputs, outputs = [frame.views, items, steps, self.bloom, self.scratch], [self.counters, texels]
             resources.program.launch(
-                self.chain.chain_kernel, count * self.chain.BLOCK_DIM, inputs, outputs, block_dim=self.chain.BLOCK_DIM
+                self.chain.chain_kernel, count * 64, inputs, outputs, block_dim=self.chain.BLOCK_DIM
             )
 
     def _run_exact(self, resources: Resources) -> None:
