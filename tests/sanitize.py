@@ -40,7 +40,9 @@ LEFT_OUT = {
     "tests/test_long_runs.py": "thousands of frames, and memory counted",
 }
 SUMMARY = re.compile(r"(?:ERROR SUMMARY: (\d+) error)|(?:RACECHECK SUMMARY: (\d+) hazard)")
-FINDING = re.compile(r"^========= ((?!COMPUTE|ERROR SUMMARY|RACECHECK SUMMARY|\s).+)$", re.MULTILINE)
+FINDING = re.compile(
+    r"^========= ((?:Invalid|Error|Warning|Uninitialized|Misaligned|Program hit|Race|Out-of|Leaked).+)$", re.MULTILINE
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,9 +80,10 @@ def read_logs(folder: Path) -> tuple[int, int, tuple[str, ...]]:
     found, processes, kinds = 0, 0, []
     for path in sorted(folder.glob("*.log")):
         text = path.read_text(errors="replace")
-        counts = [int(a or b) for a, b in SUMMARY.findall(text)]
-        found, processes = found + sum(counts), processes + bool(counts)
-        kinds += [line for line in FINDING.findall(text) if line not in kinds]
+        counts, lines = [int(a or b) for a, b in SUMMARY.findall(text)], FINDING.findall(text)
+        # A process that was killed has no summary: what it printed counts.
+        found, processes = found + (sum(counts) if counts else len(lines)), processes + bool(counts)
+        kinds += [line for line in lines if line not in kinds]
     return found, processes, tuple(kinds[:20])
 
 
