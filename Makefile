@@ -33,7 +33,7 @@ demo: $(VENV)/installed  ## render the built-in scene hundred_lights to out/
 	$(RUN) -m warp_deferred render hundred_lights -o out/hundred_lights.png --plan $(ARGS)
 
 test: $(VENV)/installed-dev  ## run the tests
-	$(RUN) -m pytest $(ARGS)
+	$(RUN) -m pytest -n auto $(ARGS)
 
 lint: $(VENV)/installed-dev  ## check style and format
 	$(RUN) -m ruff check $(SOURCES)

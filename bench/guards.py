@@ -12,7 +12,6 @@ import dataclasses
 import json
 import os
 import shutil
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -30,7 +29,7 @@ from .cases import FrameCase, frame_cases
 from .effect_cases import CompositeCase, composite_cases
 from .probe import open_scene, plan_of
 from .record import ROOT, Record
-from .timing import REPEATS, time_program
+from .timing import REPEATS, Timing, time_program
 
 __all__ = ["GUARDS", "Guard", "run", "without_guards"]
 
@@ -127,7 +126,7 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[s
         note: Function of a text that tells how far it is.
 
     Returns:
-        A row a frame: medians over the turns of the medians of each, their range, what guards cost, and how many
+        A row a frame: medians over the turns of the medians of each, their spread, what guards cost, and how many
         bytes of the picture differ without them.
 
     Raises:
@@ -172,9 +171,9 @@ def _rows(guarded: list[list[dict[str, Any]]], bare: list[list[dict[str, Any]]])
         row = {name: first[name] for name in ("case", "title", "width", "height")}
         medians = {}
         for kind, turns in (("guarded", guarded), ("bare", bare)):
-            times = [turn[k]["ms"] for turn in turns]
-            medians[kind] = statistics.median(times)
-            row |= {f"{kind}.ms": medians[kind], f"{kind}.ms_least": min(times), f"{kind}.ms_most": max(times)}
+            timing = Timing.of([turn[k]["ms"] for turn in turns])
+            medians[kind] = timing.median
+            row |= timing.metrics(kind)
         row["guards.percent"] = round(100.0 * (medians["guarded"] / medians["bare"] - 1.0), 2)
         pictures = [np.frombuffer(Path(turns[0][k]["picture"]).read_bytes(), np.uint8) for turns in (guarded, bare)]
         row["differing_bytes"] = int(np.count_nonzero(pictures[0] != pictures[1]))

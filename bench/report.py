@@ -80,7 +80,7 @@ SECTIONS = {
     "guards": (
         "Guards",
         "Frames with the tests and clamps against bad input that are always on, and of a copy of the package without "
-        "them, in processes that take turns: medians of the turns, and their range.",
+        "them, in processes that take turns: medians of the turns, and their spread.",
     ),
     "host": (
         "Host time",

@@ -180,8 +180,7 @@ def _guards(record: Record) -> str:
     for row in record["rows"]:
         line = [row["title"]]
         for kind in ("guarded", "bare"):
-            low, high = milliseconds(row[f"{kind}.ms_least"]), milliseconds(row[f"{kind}.ms_most"])
-            line += [milliseconds(row[f"{kind}.ms"]), f"{low} to {high}"]
+            line += [milliseconds(row[f"{kind}.ms"]), spread(row, kind)]
         cost = row["guards.percent"]
         line += [f"**{cost:+.1f} %**", verdict(record, cost, GUARD_TARGET_PERCENT), count_text(row["differing_bytes"])]
         lines.append(line)
