@@ -152,7 +152,7 @@ class EffectCase:
         return dataclasses.replace(self, source=self.small or self.source, settings=self.settings + self.small_settings)
 
 
-_SCALED = {"size": (480, 270), "centre": (0.22, 0.42), "zoom": 2, "leaves_out": ("five_sixths",)}
+_SCALED = {"size": (480, 270), "centre": (0.22, 0.42), "zoom": 2}
 #: Numbers of samples between those that are shown: they cost in proportion.
 _BETWEEN = tuple(
     f"samples_{n}" for n in (2, 3, 5, 6, 7, 8, 10, 12, 14, 20, 24, 28, 32, 40, 48, 56)

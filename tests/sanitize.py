@@ -1,11 +1,16 @@
 """Runs the GPU tests under NVIDIA's compute-sanitizer: memcheck, racecheck, initcheck.
 
-Run from the repository's root on a machine with a GPU and CUDA's toolkit:
-`python -m tests.sanitize [--tools memcheck racecheck initcheck] [--processes 5] [--timeout 600] [--json OUT.json]`.
-The tools run side by side, each over all tests marked `gpu` but those of LEFT_OUT, in several processes where
-pytest-xdist is installed. Run the tests once before, so that kernels are compiled. Prints what each tool found; exit
-code 1 if one found anything, a test failed, or time ran out. `python -m tests.stability_page --sanitizer OUT.json`
-records it.
+Run from the repository's root on a machine with a GPU and CUDA's toolkit, where the tests ran once before, so that
+kernels are compiled: `python -m tests.sanitize [--tools memcheck ...] [--processes 14] [--json OUT.json] [TESTS ...]`.
+The tests marked `gpu`, but for those of LEFT_OUT, are cut into jobs of a few each, and every job runs under every tool
+in a process of its own: workers of pytest-xdist under one sanitizer do not all report, and a device that one test broke
+is broken for the rest of its process. Prints what each tool found; exit code 1 if one found anything, a test failed, or
+time ran out. OUT.json is written job by job, and `--resume OUT.json` goes on with what it lacks.
+`python -m tests.stability_page --sanitizer OUT.json` records it.
+
+Warp's memory pools are off, so that every array is an allocation of its own: an access just past one is then seen, and
+memory that another array wrote is not taken for written. It also keeps memcheck from calling accesses of conditional
+graph nodes to pooled memory invalid, which they are not (NVIDIA/warp, issue 1406).
 """
 
 from __future__ import annotations
@@ -14,6 +19,7 @@ import argparse
 import concurrent.futures
 import dataclasses
 import datetime
+import itertools
 import json
 import os
 import re
@@ -22,9 +28,12 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 TOOLS = {
@@ -32,16 +41,21 @@ TOOLS = {
     "racecheck": "lanes of a block that read and write the same shared memory without waiting for each other",
     "initcheck": "reads of global memory that nothing wrote",
 }
-#: Files that measure time or memory, or draw thousands of frames of one plan: they would show no kernel more.
+#: Files and tests that would show no kernel more.
 LEFT_OUT = {
     "tests/test_fit.py": "times frames",
     "tests/test_fit_clock.py": "times frames",
     "tests/test_bench_accuracy.py": "times frames",
     "tests/test_long_runs.py": "thousands of frames, and memory counted",
+    "tests/test_determinism.py::test_e8_processes_and_an_empty_kernel_cache_agree": "compiles every kernel anew",
 }
+#: Tests of a job.
+MOST_TESTS = 10
 SUMMARY = re.compile(r"(?:ERROR SUMMARY: (\d+) error)|(?:RACECHECK SUMMARY: (\d+) hazard)")
 FINDING = re.compile(
-    r"^========= ((?:Invalid|Error|Warning|Uninitialized|Misaligned|Program hit|Race|Out-of|Leaked).+)$", re.MULTILINE
+    r"^========= ((?:Invalid|Error|Warning|Uninitialized|Misaligned|Program hit|Race|Out-of|Leaked|Host API|Internal)"
+    r".+)$",
+    re.MULTILINE,
 )
 
 
@@ -52,12 +66,12 @@ class Outcome:
     Attributes:
         tool: Its name.
         found: Errors or hazards, all processes together.
-        processes: Processes it watched.
+        processes: Processes that reported.
         passed: Tests that passed under it.
         failed: Tests that failed.
-        finished: Whether the tests came to their end in time.
-        seconds: How long it took [s].
-        kinds: The different things found, in the tool's words, a few of each.
+        unseen: Tests that did not run to their end, or whose process did not report.
+        seconds: Time of all processes together [s].
+        kinds: The different things found, in the tool's words, with the first test of the job that showed it.
     """
 
     tool: str
@@ -65,14 +79,14 @@ class Outcome:
     processes: int
     passed: int
     failed: int
-    finished: bool
+    unseen: int
     seconds: float
     kinds: tuple[str, ...]
 
     @property
     def clean(self) -> bool:
         """Whether nothing was found, and all that should run ran."""
-        return self.finished and not self.found and not self.failed and self.passed > 0 and self.processes > 0
+        return not self.found and not self.failed and not self.unseen and self.passed > 0 and self.processes > 0
 
 
 def read_logs(folder: Path) -> tuple[int, int, tuple[str, ...]]:
@@ -87,70 +101,143 @@ def read_logs(folder: Path) -> tuple[int, int, tuple[str, ...]]:
     return found, processes, tuple(kinds[:20])
 
 
-def read_tests(path: Path) -> tuple[int, int]:
-    """Tests of a JUnit file that passed and failed."""
+def read_tests(path: Path) -> tuple[int, int, int]:
+    """Tests of a JUnit file that passed, failed, and were skipped."""
     if not path.exists():
-        return 0, 0
+        return 0, 0, 0
     cases = ElementTree.parse(path).getroot().findall("testsuite/testcase")
     failed = sum(case.find("failure") is not None or case.find("error") is not None for case in cases)
-    return len(cases) - failed - sum(case.find("skipped") is not None for case in cases), failed
+    skipped = sum(case.find("skipped") is not None for case in cases)
+    return len(cases) - failed - skipped, failed, skipped
 
 
-def watch(tool: str, processes: int, timeout: float, more: list[str]) -> Outcome:
-    """Run the tests under a tool."""
+def collect(more: list[str]) -> list[str]:
+    """Names of the tests to run."""
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-m", "gpu", "-p", "no:cacheprovider", *more]
+    words = subprocess.run(command, cwd=ROOT, text=True, capture_output=True, check=False).stdout
+    names = [line for line in words.splitlines() if line.startswith("tests/") and "::" in line]
+    return [name for name in names if not any(name.startswith(left) for left in LEFT_OUT)]
+
+
+def jobs(names: Iterable[str]) -> list[tuple[str, ...]]:
+    """Cut tests into jobs, each of one file, the longest files first: they would end last."""
+    files = [tuple(group) for _, group in itertools.groupby(names, key=lambda name: name.partition("::")[0])]
+    files.sort(key=len, reverse=True)
+    return [file[k : k + MOST_TESTS] for file in files for k in range(0, len(file), MOST_TESTS)]
+
+
+def watch(tool: str, names: tuple[str, ...], timeout: float) -> dict[str, Any]:
+    """Run a job under a tool: what came of it, as it is stored."""
     start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix=f"{tool}-") as name:
         folder = Path(name)
         command = ["compute-sanitizer", "--tool", tool, "--target-processes", "all", "--print-limit", "20"]
-        command += ["--log-file", str(folder / "%p.log"), sys.executable, "-m", "pytest", "-q", "-m", "gpu"]
-        command += ["--require-cuda", "--tb=line", "-p", "no:cacheprovider", f"--junitxml={folder / 'tests.xml'}"]
-        command += [f"--ignore={path}" for path in LEFT_OUT] + (["-n", str(processes)] if processes > 1 else []) + more
+        command += ["--show-backtrace", "device", "--log-file", str(folder / "%p.log")]
+        command += [sys.executable, "-m", "pytest", "-q", "--require-cuda", "--tb=line", "-p", "no:cacheprovider"]
+        command += [f"--junitxml={folder / 'tests.xml'}", *names]
         process = subprocess.Popen(
-            command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
-        )
+            command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+            env=os.environ | {"WARP_ENABLE_MEMPOOLS_AT_INIT": "0"},
+        )  # fmt: skip
         try:
-            words, _ = process.communicate(timeout=timeout)
-            finished = process.returncode is not None and (folder / "tests.xml").exists()
+            words, _ = process.communicate(timeout=max(timeout, 0.1))
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
-            words, finished = process.communicate()[0], False
-        failures = [line for line in words.splitlines() if line.startswith(("FAILED", "ERROR"))]
-        print(f"{tool}: {words.strip().splitlines()[-1] if words.strip() else 'no output'}", *failures[:20], sep="\n  ")
-        found, watched, kinds = read_logs(folder)
-        passed, failed = read_tests(folder / "tests.xml")
-    return Outcome(tool, found, watched, passed, failed, finished, round(time.monotonic() - start, 1), kinds)
+            words, _ = process.communicate()
+        found, processes, kinds = read_logs(folder)
+        passed, failed, skipped = read_tests(folder / "tests.xml")
+    seen = processes > 0 and passed + failed + skipped >= len(names)
+    lines = [line for line in words.splitlines() if line.startswith(("FAILED", "ERROR")) or "Error" in line]
+    return {
+        "tool": tool, "tests": list(names), "found": found, "processes": processes, "passed": passed, "failed": failed,
+        "unseen": 0 if seen else len(names) - passed - failed - skipped or len(names), "kinds": list(kinds),
+        "words": lines[:10] if failed or not seen else [], "seconds": round(time.monotonic() - start, 1),
+    }  # fmt: skip
+
+
+def outcome(tool: str, done: list[dict[str, Any]], left: int) -> Outcome:
+    """Add up what the jobs of a tool came to; `left` tests were not begun."""
+    mine = [job for job in done if job["tool"] == tool]
+    kinds: dict[str, str] = {}
+    for job in mine:
+        for kind in job["kinds"]:
+            kinds.setdefault(kind, job["tests"][0])
+    total = {key: sum(job[key] for job in mine) for key in ("found", "processes", "passed", "failed", "unseen")}
+    total["unseen"] += left
+    seconds = round(sum(job["seconds"] for job in mine), 1)
+    return Outcome(tool, **total, seconds=seconds, kinds=tuple(f"{k} ({t})" for k, t in list(kinds.items())[:20]))
+
+
+def record(path: Path, tools: list[str], names: list[str], done: list[dict[str, Any]]) -> list[Outcome]:
+    """Write what is known so far, and return it."""
+    import warp as wp
+
+    outcomes = []
+    for tool in tools:
+        begun = sum(len(job["tests"]) for job in done if job["tool"] == tool)
+        outcomes.append(outcome(tool, done, len(names) - begun))
+    head = {
+        "device": wp.get_device("cuda:0").name, "warp": wp.config.version,
+        "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}", "commit": os.environ.get("WD_COMMIT", ""),
+    }  # fmt: skip
+    by_tool = {o.tool: dataclasses.asdict(o) | {"looks_for": TOOLS[o.tool], "clean": o.clean} for o in outcomes}
+    text = json.dumps(head | {"left_out": LEFT_OUT, "tools": by_tool, "jobs": done}, indent=1)
+    path.with_suffix(".part").write_text(text + "\n")
+    path.with_suffix(".part").replace(path)
+    return outcomes
+
+
+def run(tools: list[str], names: list[str], options: argparse.Namespace) -> list[Outcome]:
+    """Run what has not been seen yet, every job under every tool, until the time is over."""
+    ends = time.monotonic() + options.timeout
+    done = json.loads(options.resume.read_text())["jobs"] if options.resume else []
+    done = [job for job in done if not job["unseen"] and job["tool"] in tools and set(job["tests"]) <= set(names)]
+    seen = {(job["tool"], name) for job in done for name in job["tests"]}
+    waiting = [(t, job) for job in jobs(names) for t in tools if not all((t, name) in seen for name in job)]
+    lock = threading.Lock()
+    outcomes = record(options.json, tools, names, done)
+
+    def one(tool: str, job: tuple[str, ...]) -> None:
+        nonlocal outcomes
+        if (left := ends - time.monotonic()) <= 0.0:
+            return
+        result = watch(tool, job, min(left, options.job_timeout))
+        with lock:
+            done.append(result)
+            outcomes = record(options.json, tools, names, done)
+            if result["found"] or result["failed"] or result["unseen"]:
+                print(f"{tool} {job[0]}: found {result['found']}, failed {result['failed']}, unseen "
+                      f"{result['unseen']} of {len(job)}", *result["kinds"][:5], *result["words"][:5],
+                      sep="\n    ", flush=True)  # fmt: skip
+
+    with concurrent.futures.ThreadPoolExecutor(options.processes) as pool:
+        list(pool.map(lambda pair: one(*pair), waiting))
+    return outcomes
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the tools, print the table, and return the exit code."""
     parser = argparse.ArgumentParser(description="Run the GPU tests under compute-sanitizer.")
     parser.add_argument("--tools", nargs="+", choices=list(TOOLS), default=list(TOOLS), help="tools to run")
-    parser.add_argument("--processes", type=int, default=1, help="test processes under each tool (pytest-xdist)")
-    parser.add_argument("--timeout", type=float, default=3600.0, help="seconds a tool may take")
-    parser.add_argument("--json", type=Path, help="write the outcomes here")
+    parser.add_argument("--processes", type=int, default=1, help="jobs at a time")
+    parser.add_argument("--timeout", type=float, default=3600.0, help="seconds in all")
+    parser.add_argument("--job-timeout", type=float, default=300.0, help="seconds a job may take")
+    parser.add_argument("--json", type=Path, default=Path("sanitizer.json"), help="write the outcomes here")
+    parser.add_argument("--resume", type=Path, help="outcomes of a run to go on with")
     options, more = parser.parse_known_args(arguments)
     if shutil.which("compute-sanitizer") is None:
         parser.error(
             "compute-sanitizer: not found; it comes with NVIDIA's CUDA toolkit, whose bin folder must be on PATH"
         )
-    import warp as wp
-
-    with concurrent.futures.ThreadPoolExecutor(len(options.tools)) as pool:
-        outcomes = list(pool.map(lambda t: watch(t, options.processes, options.timeout, more), options.tools))
+    names = collect(more)
+    if not names:
+        parser.error(f"no tests marked gpu in {' '.join(more) or 'tests'}")
+    outcomes = run(options.tools, names, options)
     for o in outcomes:
         print(
-            f"{o.tool:10} {'clean' if o.clean else 'NOT CLEAN':9} found {o.found}, {o.passed} tests passed, "
-            f"{o.failed} failed, {o.processes} processes, {o.seconds:.0f} s{'' if o.finished else ', NOT FINISHED'}"
+            f"{o.tool:10} {'clean' if o.clean else 'NOT CLEAN':9} found {o.found}, {o.passed} tests passed, {o.failed} "
+            f"failed, {o.unseen} unseen, {o.processes} processes, {o.seconds:.0f} s"
         )
-        for kind in o.kinds:
-            print(f"    {kind}")
-    if options.json:
-        head = {
-            "device": wp.get_device("cuda:0").name, "warp": wp.config.version,
-            "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}", "commit": os.environ.get("WD_COMMIT", ""),
-        }  # fmt: skip
-        tools = {o.tool: dataclasses.asdict(o) | {"looks_for": TOOLS[o.tool], "clean": o.clean} for o in outcomes}
-        options.json.write_text(json.dumps(head | {"left_out": LEFT_OUT, "tools": tools}, indent=1) + "\n")
     return 0 if all(o.clean for o in outcomes) else 1
 
 

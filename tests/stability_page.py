@@ -226,10 +226,9 @@ def _sanitizer(stored: dict) -> list[str]:
         f"`python -m tests.sanitize` on {run['device']}, Warp {run['warp']}, {run['date']}, commit {run['commit']}: "
         f"the tests that are marked `gpu`, but for {left}."
     )
-    lines += ["", "| tool | looks for | found | tests passed | failed |", "|---|---|---|---|---|"]
+    lines += ["", "| tool | looks for | found | tests passed | failed | not seen |", "|---|---|---|---|---|---|"]
     for tool, o in run["tools"].items():
-        found = str(o["found"]) if o["finished"] else f"{o['found']}, **not finished**"
-        lines.append(f"| {tool} | {o['looks_for']} | {found} | {o['passed']} | {o['failed']} |")
+        lines.append(f"| {tool} | {o['looks_for']} | {o['found']} | {o['passed']} | {o['failed']} | {o['unseen']} |")
     kinds = [f"- {tool}: {_cell(kind)}" for tool, o in run["tools"].items() for kind in o["kinds"]]
     return lines + [""] * bool(kinds) + kinds
 
@@ -263,7 +262,9 @@ def main(arguments: list[str] | None = None) -> int:
     if options.results:
         take_in(options.results)
     if options.sanitizer:
-        write_results(results() | {"sanitizer": json.loads(options.sanitizer.read_text())})
+        run = json.loads(options.sanitizer.read_text())
+        run.pop("jobs", None)  # which tests ran together: for going on with a run
+        write_results(results() | {"sanitizer": run})
     text = page()
     if not options.check:
         PAGE.write_text(text)

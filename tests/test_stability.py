@@ -10,7 +10,7 @@ import pytest
 import stability_page
 import warp as wp
 from mutations import Mutation, mutations, try_mutation
-from sanitize import Outcome, read_logs, read_tests
+from sanitize import MOST_TESTS, Outcome, jobs, outcome, read_logs, read_tests
 from stability_page import ROOT, Proof, main, proofs, row_ids, rows
 
 
@@ -71,22 +71,35 @@ def test_what_a_sanitizer_and_the_guards_said_shows(tmp_path, monkeypatch):
     (tmp_path / "4.log").write_text(log)
     assert read_logs(tmp_path) == (4, 2, ("Invalid __global__ read of size 4 bytes",))
     (tmp_path / "run.xml").write_text(JUNIT)
-    assert read_tests(tmp_path / "run.xml") == (3, 1) and read_tests(tmp_path / "none.xml") == (0, 0)
-    good = Outcome("memcheck", 0, 3, 5, 0, True, 1.0, ())
+    assert read_tests(tmp_path / "run.xml") == (3, 1, 2) and read_tests(tmp_path / "none.xml") == (0, 0, 0)
+    good = Outcome("memcheck", 0, 3, 5, 0, 0, 1.0, ())
     assert good.clean
-    for bad in ({"found": 1}, {"failed": 1}, {"passed": 0}, {"processes": 0}, {"finished": False}):
+    for bad in ({"found": 1}, {"failed": 1}, {"passed": 0}, {"processes": 0}, {"unseen": 1}):
         assert not dataclasses.replace(good, **bad).clean
     tools = {"memcheck": dataclasses.asdict(dataclasses.replace(good, found=7, kinds=("a | b",))) | {"looks_for": "x"}}
     head = {"device": "a GPU", "warp": "9.9", "date": "today", "commit": "c", "left_out": {"f.py": "slow"}}
-    (tmp_path / "run.json").write_text(json.dumps(head | {"tools": tools}))
+    (tmp_path / "run.json").write_text(json.dumps(head | {"tools": tools, "jobs": [{"tests": ["t"]}]}))
     row = {"title": "a frame", "guarded.ms": 1.01, "bare.ms": 1.0, "guards.percent": 1.0, "differing_bytes": 0}
     (tmp_path / "GUARDS").write_text(json.dumps({"device": "a GPU", "commit": "c", "rows": [row]}))
     for name in ("RESULTS", "PAGE", "GUARDS"):
         monkeypatch.setattr(stability_page, name, tmp_path / name)
     assert main(["--sanitizer", str(tmp_path / "run.json")]) == 0
     text = (tmp_path / "PAGE").read_text()
-    assert "| memcheck | x | 7 | 5 | 0 |" in text and "- memcheck: a \\| b" in text and "`f.py` (slow)" in text
+    assert "| memcheck | x | 7 | 5 | 0 | 0 |" in text and "- memcheck: a \\| b" in text and "`f.py` (slow)" in text
+    assert "jobs" not in json.loads((tmp_path / "RESULTS").read_text())["sanitizer"]
     assert "| a frame | 1.0100 ms | 1.0000 ms | +1.0 % | 0 |" in text
+
+
+def test_jobs_of_a_sanitizer_are_of_one_file_and_what_was_not_seen_counts():
+    few, many = [f"tests/a.py::t[{k}]" for k in range(3)], [f"tests/b.py::t[{k}]" for k in range(MOST_TESTS + 2)]
+    assert jobs(few + many) == [tuple(many[:MOST_TESTS]), tuple(many[MOST_TESTS:]), tuple(few)]
+    seen = {"tool": "memcheck", "tests": few, "found": 0, "processes": 1, "passed": 2, "failed": 0, "unseen": 0,
+            "seconds": 2.0, "kinds": []}  # fmt: skip
+    bad = seen | {"tests": many[:3], "found": 2, "kinds": ["Invalid read"], "unseen": 1}
+    other = seen | {"tool": "racecheck"}
+    whole = outcome("memcheck", [seen, bad, other], 5)
+    assert whole == Outcome("memcheck", 2, 2, 4, 0, 6, 4.0, (f"Invalid read ({many[0]})",)) and not whole.clean
+    assert outcome("racecheck", [seen, bad, other], 0).clean
 
 
 def test_the_record_says_where_it_ran(device, record_property):
