@@ -2,13 +2,13 @@
 
 The best is found by trying: on each scene combinations of the rungs that the scene calls for, all numbers of samples
 and sizes among them, are rendered and timed as a fit times frames, but for rungs that trace rays and frames far past
-the largest budget. There are thousands of those, so the `MOST_TRIED` are taken that are predicted to come nearest to
-the least error of any in their time; rows say of how many, and how much worse than that the last one was predicted:
-what a better one must have been mistaken for. Formats, of the G-buffer and of radiance, are tried at their ends, both
-cheap or both at their reference: their errors are the smallest of all ladders (docs/accuracy.md). All errors of this
-bench, those of the fit's choices among them, are taken against one picture, whose ladders trace more rays than the
-fit's own reference does. A combination counts as possible in a budget where its median keeps it, while a fit's choice
-must keep it in 19 of 20 frames: the comparison is in favour of the trying.
+the largest budget. Of those at most `MOST_TRIED` are taken, the ones that are predicted to come nearest to the least
+error of any in their time; rows say of how many, and how much worse than that the last one was predicted: what a better
+one must have been mistaken for. Formats, of the G-buffer and of radiance, are tried at their ends, both cheap or both
+at their reference, and arithmetic is fast: their errors are the smallest of all ladders (docs/accuracy.md). All errors
+of this bench, those of the fit's choices among them, are taken against one picture, whose ladders trace more rays than
+the fit's own reference does. A combination counts as possible in a budget where its median keeps it, while a fit's
+choice must keep it in 19 of 20 frames: the comparison is in favour of the trying.
 """
 
 from __future__ import annotations
@@ -61,10 +61,12 @@ QUICK_COUNTS = {"ambient_visibility": 4, "shadow": 4}
 FRAMES = 5
 #: Ladders that are tried at their ends, together.
 FORMATS = ("gbuffer", "shade")
+#: Ladders that are tried at their cheap end.
+CHEAP = ("arithmetic",)
 #: Combinations past so many times the largest budget, as predicted, are not tried.
 PAST = 1.5
 #: Combinations tried on a scene, at most; in a quick run.
-MOST_TRIED, QUICK_TRIED = 600, 12
+MOST_TRIED, QUICK_TRIED = 1200, 12
 #: Settings of a quick run: little is for sale.
 QUICK = ("gbuffer.normal=oct24", "shade.radiance=half", "scale.rung=off", "light_culling.tile_size=16")
 
@@ -167,13 +169,14 @@ def combinations(survey: Survey, most_ms: float) -> tuple[list[Choice], list[flo
         that order, least first.
     """
     market = Market(survey.grid, survey.ladders)
-    single = [x for x in survey.ladders if x.name not in FORMATS]
+    single = [x for x in survey.ladders if x.name not in FORMATS + CHEAP]
+    cheap = {x.name: x.offers[0].rung for x in survey.ladders if x.name in CHEAP}
     formats = [x for x in survey.ladders if x.name in FORMATS]
     ends = [{x.name: x.offers[end].rung for x in formats} for end in ((0, -1) if formats else (0,))]
     offers = [[offer.rung for offer in x.offers if not offer.estimated] for x in single]
     found = []
     for (scale, rung), end, *rungs in itertools.product(survey.grid.errors, ends, *offers):
-        choice = {"scale": scale, "anti_aliasing": rung, **end}
+        choice = {"scale": scale, "anti_aliasing": rung, **end, **cheap}
         choice |= {x.name: name for x, name in zip(single, rungs, strict=True)}
         ms, error = market.predict(choice)
         if ms <= most_ms:

@@ -1,7 +1,8 @@
 """Runs the GPU tests under NVIDIA's compute-sanitizer: memcheck, racecheck, initcheck.
 
 Run from the repository's root on a machine with a GPU and CUDA's toolkit, where the tests ran once before, so that
-kernels are compiled: `python -m tests.sanitize [--tools memcheck ...] [--processes 14] [--json OUT.json] [TESTS ...]`.
+kernels are compiled (`pytest -m gpu --junitxml RUN.xml`):
+`python -m tests.sanitize [--tools memcheck ...] [--processes 14] [--times RUN.xml] [--json OUT.json] [TESTS ...]`.
 The tests marked `gpu`, but for those of LEFT_OUT, are cut into jobs of a few each, and every job runs under every tool
 in a process of its own: workers of pytest-xdist under one sanitizer do not all report, and a device that one test broke
 is broken for the rest of its process. Prints what each tool found; exit code 1 if one found anything, a test failed, or
@@ -31,7 +32,7 @@ import tempfile
 import threading
 import time
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -119,11 +120,25 @@ def collect(more: list[str]) -> list[str]:
     return [name for name in names if not any(name.startswith(left) for left in LEFT_OUT)]
 
 
-def jobs(names: Iterable[str]) -> list[tuple[str, ...]]:
-    """Cut tests into jobs, each of one file, the longest files first: they would end last."""
+def jobs(names: Iterable[str], times: Mapping[str, float] | None = None) -> list[tuple[str, ...]]:
+    """Cut tests into jobs, each of one file; what takes longest comes first, for it would end last.
+
+    Args:
+        names: The tests, file by file.
+        times: Test -> how long it takes [s]; alike if left out.
+    """
     files = [tuple(group) for _, group in itertools.groupby(names, key=lambda name: name.partition("::")[0])]
-    files.sort(key=len, reverse=True)
-    return [file[k : k + MOST_TESTS] for file in files for k in range(0, len(file), MOST_TESTS)]
+    cut = [file[k : k + MOST_TESTS] for file in files for k in range(0, len(file), MOST_TESTS)]
+    return sorted(cut, key=lambda job: -sum((times or {}).get(name, 1.0) for name in job))
+
+
+def read_times(path: Path) -> dict[str, float]:
+    """How long each test of a JUnit file took [s], by the name that pytest takes."""
+    cases = ElementTree.parse(path).getroot().findall("testsuite/testcase")
+    return {
+        f"{case.get('classname', '').replace('.', '/')}.py::{case.get('name')}": float(case.get("time", 0.0))
+        for case in cases
+    }
 
 
 def watch(tool: str, names: tuple[str, ...], timeout: float) -> dict[str, Any]:
@@ -193,7 +208,8 @@ def run(tools: list[str], names: list[str], options: argparse.Namespace) -> list
     done = json.loads(options.resume.read_text())["jobs"] if options.resume else []
     done = [job for job in done if not job["unseen"] and job["tool"] in tools and set(job["tests"]) <= set(names)]
     seen = {(job["tool"], name) for job in done for name in job["tests"]}
-    waiting = [(t, job) for job in jobs(names) for t in tools if not all((t, name) in seen for name in job)]
+    times = read_times(options.times) if options.times else None
+    waiting = [(t, job) for job in jobs(names, times) for t in tools if not all((t, name) in seen for name in job)]
     lock = threading.Lock()
     outcomes = record(options.json, tools, names, done)
 
@@ -223,6 +239,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--timeout", type=float, default=3600.0, help="seconds in all")
     parser.add_argument("--job-timeout", type=float, default=300.0, help="seconds a job may take")
     parser.add_argument("--json", type=Path, default=Path("sanitizer.json"), help="write the outcomes here")
+    parser.add_argument("--times", type=Path, help="JUnit file of a run without sanitizer: slow tests then come first")
     parser.add_argument("--resume", type=Path, help="outcomes of a run to go on with")
     options, more = parser.parse_known_args(arguments)
     if shutil.which("compute-sanitizer") is None:

@@ -44,7 +44,7 @@ class World:
         self.ms, self.error = {}, {}
         self.absent = {*NEVER, *rng.permutation(["shadow", "bloom", "gbuffer"])[: rng.integers(1, 4)]}
         for ladder in LADDERS:
-            worst = {"gbuffer": 0.002, "shade": 0.0005, "shadow": 0.1}.get(ladder.name, 0.03)
+            worst = {"gbuffer": 0.002, "shade": 0.0005, "arithmetic": 3e-5, "shadow": 0.1}.get(ladder.name, 0.03)
             count = len(ladder.rungs)
             prices = np.sort(rng.uniform(0.0, 0.3, count)) * (0.05 if worst < 0.003 else 1.0)
             errors = np.sort(worst * rng.uniform(0.1, 1.0, count))[::-1]
@@ -190,7 +190,8 @@ def test_the_choice_is_near_the_best_of_all_frames_and_near_the_budget(seed):
     # Little of the budget is left, or the account says why.
     spent = chosen.unseen.median / budget
     told = report.unspent(buyer, chosen)
-    assert told == "" if spent >= 0.9 else told.startswith(f"{1.0 - spent:.0%} of the budget is left: nothing"), told
+    why = ": nothing" if chosen.unseen.p95 < 0.9 * budget else " by the median, for frames vary"
+    assert told == "" if spent >= 0.9 else told.startswith(f"{1.0 - spent:.0%} of the budget is left{why}"), told
     assert looks <= 45 and eye.probe.plans - looks <= 14
 
 

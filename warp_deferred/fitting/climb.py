@@ -46,8 +46,7 @@ class Climber:
         """Measure a ladder: the reference's picture first, then each rung's price and distance from it."""
         rungs = [rung for rung in ladder.rungs if rung.samples <= self._surveyor.samples]
         best = rungs[-1]
-        self._look_at_reference(ladder, best)
-        picture = self._probe.picture()
+        picture = self._look_at_reference(ladder, best)
         offers: dict[str, Offer] = {}
         base_ms = self._surveyor.base_ms
         for rung in _looked(rungs):
@@ -65,9 +64,12 @@ class Climber:
             _interpolate(rungs, offers)
         return LadderPrices(ladder.name, ladder.part, tuple(offers[r.name] for r in rungs if r.name in offers))
 
-    def _look_at_reference(self, ladder: Ladder, rung: Rung) -> None:
+    def _look_at_reference(self, ladder: Ladder, rung: Rung) -> wp.array:
         """Look at the reference; with more rays where the time allowed buys them, fewer where it does not buy these."""
         name, choice = ladder.name, {ladder.name: rung.name}
+        if rung.name == ladder.base:
+            self.reference_ms[name] = self._surveyor.base_ms
+            return self._surveyor.base_picture
         count = COUNTS[1]
         if name in AMOUNTS:
             self.counts[name] = count
@@ -79,6 +81,7 @@ class Climber:
             self.counts[name] = wanted
             self._surveyor.look(f"{name} {rung.name}", choice, self.counts)
             self.reference_ms[name] = self._probe.price()
+        return self._probe.picture()
 
     def _once(self, ladder: Ladder, rung: Rung, price: float) -> float:
         """What a frame in motion takes more than with the base rung, beside what a frame at rest does.

@@ -4,7 +4,8 @@ A rung costs time once a frame or in every sample of a pixel, which the ladder's
 themselves say how many, and those of one frame are the same ones (a sample is a place in pixel, lens and shutter at
 once), so that the largest number counts. What is not here is not bought: sizes of shadow maps, radii and the like are
 the user's. Normals of fewer bits than `oct24` are left out, for they cost the same bytes, and so is `float32` in a
-compact G-buffer, whose other rounding errors are larger. Amounts of what a rung does are rungs of their own where more
+compact G-buffer, whose other rounding errors are larger, and `fused` arithmetic, which is off by as much as `fast` is
+and spares half as much. Amounts of what a rung does are rungs of their own where more
 of it buys accuracy: 6 to 8 steps in place of 3 take a tenth off the error of `gtao`, more slices take nothing.
 """
 
@@ -147,6 +148,8 @@ LADDERS: tuple[Ladder, ...] = (
            "shade", "sample"),
     Ladder("shade", tuple(Rung(name, (f"shade.radiance={name}",)) for name in ("half", "float32")), "half", "shade",
            "sample"),
+    Ladder("arithmetic", tuple(Rung(name, (f"shade.arithmetic={name}",)) for name in ("fast", "precise")), "precise",
+           "shade", "sample"),
 )  # fmt: skip
 #: Ladders whose reference takes a number of samples of its own: the setting that says how many.
 AMOUNTS = {"shadow": "shadow.samples", "ambient_visibility": "ambient_visibility.rays"}

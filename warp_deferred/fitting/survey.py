@@ -141,6 +141,8 @@ class Surveyor:
             report = reports.get(ladder.needs)
             if ladder.name not in self.fixed and report is not None and not report.runs:
                 self.absent[ladder.name] = report.reason
+        if not self.cuda and "arithmetic" not in self.fixed:
+            self.absent.setdefault("arithmetic", "fast and precise arithmetic are one on a CPU")
 
     def _cull(self, usual_ms: float) -> tuple[float, float]:
         """Find the fastest rung of light culling; every one gives the same bits."""
