@@ -119,7 +119,7 @@ def tiles(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """Tile size by number of lights by resolution: culling, shading, lights per tile."""
-    _bench("tiles", device, json, plot, quick, set_)
+    _bench("tiles", device, json, plot, quick, set_, keeps=True)
 
 
 @app.command()
@@ -138,7 +138,7 @@ def triangles(
 
     if only:
         check_choice("--only", only, [case.name for case in TRIANGLE_CASES])
-    _bench("triangles", device, json, plot, quick, set_, only=only)
+    _bench("triangles", device, json, plot, quick, set_, only=only, keeps=True)
 
 
 @app.command()
@@ -146,7 +146,7 @@ def lights(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """1 to 10 000 lights of which 5, 20 and 80 reach a pixel; brute force beside."""
-    _bench("lights", device, json, plot, quick, set_)
+    _bench("lights", device, json, plot, quick, set_, keeps=True)
 
 
 @app.command()
@@ -159,7 +159,7 @@ def frame(
     huge: Annotated[bool, typer.Option("--huge", help="Render 16384x16384 pixels, too (about 10 GB).")] = False,
 ) -> None:
     """Whole frames, pass by pass, as multiples of their memory floor."""
-    _bench("frame", device, json, plot, quick, set_, huge=huge)
+    _bench("frame", device, json, plot, quick, set_, huge=huge, keeps=True)
 
 
 Case = Annotated[str, typer.Option("--only", metavar="CASE", help="Run this case alone, such as bloom.")]
@@ -315,7 +315,7 @@ def report(
 @app.command()
 def fit(device: Device = "cuda:0", json: Json = None, quick: Quick = False, set_: Sets = None) -> None:
     """How long a fit takes, whether its choice keeps the budget, and how near it is to the best there is."""
-    _bench("fit", device, json, None, quick, set_)
+    _bench("fit", device, json, None, quick, set_, keeps=True)
 
 
 @app.command()
@@ -336,7 +336,7 @@ def presets(
     from .record import ROOT
 
     if measure or json is not None:
-        _bench("presets", device, json, None, quick, None)
+        _bench("presets", device, json, None, quick, None, keeps=True)
         return
     changed = bench.write(ROOT, from_, None if out is None else Path(out), check=check)
     if changed is not None:

@@ -36,8 +36,8 @@ QUICK_REPEATS = 3
 #: Ends of metrics that are made of others, or are measured once.
 DERIVED = ("floor_ms", "floor.ms", "times_floor", "sum_ms", "difference_ms", "of_frame", "added_bytes")
 ONCE = (
-    "compile.s", "compile.replaced_s", "build.s", "first.s", "fit.s", "cached.s", "load_s", "compile_s", "held.share",
-    "best.frame_ms", "predicted.frame_ms", "error.predicted",
+    "compile.s", "compile.replaced_s", "build.s", "first.s", "fresh.s", "fresh.process_s", "fit.s", "cached.s",
+    "load_s", "compile_s", "held.share", "best.frame_ms", "predicted.frame_ms", "error.predicted",
 )  # fmt: skip
 #: Times that are, or may be, differences of longer ones: what runs differ by is a share of the whole.
 WHOLE = {"stage.ms": "frame.ms", "raster.ms": "total.ms"}

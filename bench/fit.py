@@ -15,7 +15,10 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -24,6 +27,7 @@ from typing import Any
 import warp as wp
 
 from warp_deferred import Renderer, Scene, Settings
+from warp_deferred.errors import Error
 from warp_deferred.fitting import Fit, fit
 from warp_deferred.fitting.ladders import held_fields
 from warp_deferred.fitting.model import Choice, Market, Survey
@@ -32,7 +36,7 @@ from warp_deferred.fitting.report import assignments
 from warp_deferred.fitting.survey import Surveyor
 
 from .ladders import SCENES, stand_size
-from .record import Record
+from .record import ROOT, Record
 
 __all__ = ["CASES", "Case", "combinations", "run"]
 
@@ -71,7 +75,14 @@ MOST_TRIED, QUICK_TRIED = 1200, 12
 QUICK = ("gbuffer.normal=oct24", "shade.radiance=half", "scale.rung=off", "light_culling.tile_size=16")
 
 
-def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[str], Any]) -> Record:
+def run(
+    device: wp.Device,
+    *,
+    quick: bool,
+    settings: Settings,
+    note: Callable[[str], Any],
+    keep: Callable[[Record], Any] | None = None,
+) -> Record:
     """Fit at every budget of every case, then try every combination.
 
     Args:
@@ -79,10 +90,12 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[s
         quick: One small case, with little for sale.
         settings: Settings that are held.
         note: Function of a text that tells how far it is.
+        keep: Called with what is there after each scene, so that nothing measured is lost.
 
     Returns:
-        A row for each scene and budget. `first.*`: the first fit of a process, which loads kernels and may compile
-        them; `fit.*`: one that measures with all kernels loaded; `cached.*`: one that finds prices measured before.
+        A row for each scene and budget. `first.*`: the first fit here, which may compile kernels; `fresh.*`: that of
+        a process of its own later, which finds them compiled and loads them; `fit.*`: one that measures with all
+        kernels loaded; `cached.*`: one that finds prices measured before.
     """
     rows: list[dict[str, Any]] = []
     size = stand_size(device.is_cuda, quick)
@@ -96,13 +109,46 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[s
         for budget in budgets:
             note(f"fit of {case.scene} to {budget:g} ms")
             fits.append(bench.fits(budget))
+        note(f"fit of {case.scene} in a process of its own")
+        fresh = _in_own_process(case.scene, source, size, str(device), budgets[len(budgets) // 2], settings)
         note(f"every combination on {case.scene}")
         counts, most = (QUICK_COUNTS, QUICK_TRIED) if quick else (JUDGE_COUNTS, MOST_TRIED)
         judged = bench.judge([found[-1] for found in fits], budgets, counts, most)
         for budget, found, outcome in zip(budgets, fits, judged, strict=True):
             head = {"scene": case.scene, "source": source, "width": size[0], "height": size[1], "budget_ms": budget}
-            rows.append(head | _seconds(*found) | _choice(found[-1]) | outcome)
+            own = fresh if budget == fresh["budget_ms"] else {}
+            rows.append(head | _seconds(*found) | own | _choice(found[-1]) | outcome)
+        if keep:
+            keep({"rows": rows})
     return {"rows": rows}
+
+
+def _in_own_process(
+    scene: str, source: str, size: tuple[int, int], device: str, budget: float, settings: Settings
+) -> dict[str, Any]:
+    """Fit in a new process: seconds of the call, of loading, and of the process with interpreter and imports."""
+    words = json.dumps([scene, source, size, device, budget, settings.model_dump(exclude_unset=True)])
+    begun = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "bench.fit"], input=words, text=True, capture_output=True, cwd=ROOT
+    )  # fmt: skip
+    if done.returncode != 0:
+        raise Error(f"fit: its own process failed: {(done.stderr.strip() or 'no message').splitlines()[-1]}")
+    return json.loads(done.stdout.splitlines()[-1]) | {"fresh.process_s": round(time.perf_counter() - begun, 3)}
+
+
+def _own_process() -> None:
+    """What the process does: read what to fit from standard input, and write how long it took."""
+    scene, source, size, device, budget, changed = json.loads(sys.stdin.read())
+    wp.config.log_level = wp.LOG_WARNING
+    found = fit(
+        SCENES[scene].build(source), budget_ms=budget, width=size[0], height=size[1], device=device,
+        settings=Settings(**changed), cache=False,
+    )  # fmt: skip
+    print(json.dumps({
+        "budget_ms": budget, "fresh.s": round(found.seconds, 3), "fresh.load_s": round(found.load_seconds, 3),
+        "fresh.compiled": found.compiled,
+    }))  # fmt: skip
 
 
 class _Bench:
@@ -219,3 +265,7 @@ def _choice(found: Fit) -> dict[str, Any]:
         "error.rmse": float(f"{found.error:.4g}"), "next": found.next, "unspent": found.unspent,
         "spent.share": round(found.ms.median / found.budget_ms, 4),
     }  # fmt: skip
+
+
+if __name__ == "__main__":
+    _own_process()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
@@ -16,7 +17,15 @@ from .timing import REPEATS, copy_bandwidth, sample_sections, time_passes, time_
 __all__ = ["floor", "frame_row", "pass_names", "run"]
 
 
-def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, huge: bool = False) -> Record:
+def run(
+    device: wp.Device,
+    *,
+    quick: bool,
+    settings: Settings,
+    note: Any,
+    huge: bool = False,
+    keep: Callable[[Record], Any] | None = None,
+) -> Record:
     """Time every frame and its passes.
 
     Args:
@@ -25,6 +34,7 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, huge: 
         settings: Settings of all cases.
         note: Function of a text that tells how far it is.
         huge: Whether to render 16384x16384 pixels, too.
+        keep: Called with what is there after each frame, so that nothing measured is lost.
 
     Returns:
         Copy bandwidth and one row a frame. Metrics: `frame.*` is the graph of the whole frame with all its samples,
@@ -32,11 +42,13 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, huge: 
         its own, run once, `pass.NAME.times_floor` its time over its bytes at the copy bandwidth.
     """
     bandwidth = copy_bandwidth(device)
-    rows = []
+    result: Record = {"copy_bytes_per_s": round(bandwidth), "rows": []}
     for case in frame_cases(device.is_cuda, quick=quick, huge=huge):
         note(case.title)
-        rows.append(frame_row(case, device, settings, bandwidth, 5 if quick else REPEATS))
-    return {"copy_bytes_per_s": round(bandwidth), "rows": rows}
+        result["rows"].append(frame_row(case, device, settings, bandwidth, 5 if quick else REPEATS))
+        if keep:
+            keep(result)
+    return result
 
 
 def frame_row(case: FrameCase, device: wp.Device, settings: Settings, bandwidth: float, repeats: int) -> dict[str, Any]:

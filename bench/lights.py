@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
@@ -21,7 +22,9 @@ QUICK_SIZE = (160, 90)
 QUICK_COUNTS, QUICK_MEANS = (1, 20), (5,)
 
 
-def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Record:
+def run(
+    device: wp.Device, *, quick: bool, settings: Settings, note: Any, keep: Callable[[Record], Any] | None = None
+) -> Record:
     """Time every number of lights at every mean it can give.
 
     Args:
@@ -29,6 +32,7 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
         quick: Small cases and few repeats.
         settings: Settings of all cases.
         note: Function of a text that tells how far it is.
+        keep: Called with what is there after each row, so that nothing measured is lost.
     """
     size = QUICK_SIZE if quick else RESOLUTIONS["1080p"]
     rows = []
@@ -37,6 +41,8 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
         for mean in dict.fromkeys(reached):
             note(f"{lights:,} lights, mean {mean:g}")
             rows.append(_row(lights, mean, size, device, settings, quick))
+            if keep:
+                keep({"rows": rows})
     return {"rows": rows}
 
 

@@ -140,7 +140,8 @@ def _tiles(record: Record) -> Figure:
         _log_ticks(axes.yaxis)
     panels[0].set_ylabel("stage + cull + shade [ms]")
     panels[-1].legend(title="lights", loc="center left", bbox_to_anchor=(1.0, 0.5))
-    _heat_map(record, bottom.subplots())
+    if "heat_map" in record:  # a run that was interrupted may lack it
+        _heat_map(record, bottom.subplots())
     title = f"Light tiles, {record['mean']:g} lights at a pixel on average: {_device(record)}"
     figure.suptitle(title, fontsize=10, fontweight="bold")
     return figure
@@ -165,8 +166,16 @@ def _lights(record: Record) -> Figure:
     place = {(r["lights"], r["mean"]): r for r in rows}
     # The means that the largest number of lights gives; fewer lights stand in each curve with the most they can give.
     for k, mean in enumerate(sorted(r["mean"] for r in rows if r["lights"] == counts[-1])):
-        curve = [place[count, reachable_mean(count, mean)] for count in counts]
-        axes.plot(counts, [r["total.ms"] for r in curve], "o-", color=COLORS[k], markersize=4, label=f"{mean:g} lit")
+        keys = [(count, reachable_mean(count, mean)) for count in counts]
+        curve = [place[key] for key in keys if key in place]
+        axes.plot(
+            [r["lights"] for r in curve],
+            [r["total.ms"] for r in curve],
+            "o-",
+            color=COLORS[k],
+            markersize=4,
+            label=f"{mean:g} lit",
+        )
         brute = [(r["lights"], r["brute_force.ms"]) for r in curve if "brute_force.ms" in r]
         if brute and k == 0:
             axes.plot(*zip(*brute, strict=True), "--", color=PALE, linewidth=1.2, label=f"{mean:g} lit, brute force")

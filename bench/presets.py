@@ -200,7 +200,14 @@ def write(root: Path, path: str | Path | None, out: Path | None, *, check: bool)
     return target
 
 
-def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[str], Any]) -> Record:
+def run(
+    device: wp.Device,
+    *,
+    quick: bool,
+    settings: Settings,
+    note: Callable[[str], Any],
+    keep: Callable[[Record], Any] | None = None,
+) -> Record:
     """Measure what each preset costs and leaves on whole scenes.
 
     Args:
@@ -208,6 +215,7 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[s
         quick: Small cases, few repeats, and one scene.
         settings: Settings beside the preset's.
         note: Function of a text that tells how far it is.
+        keep: Called with what is there after each scene, so that nothing measured is lost.
 
     Returns:
         A row for each scene and preset: time of the frame, RMSE and FLIP of its picture against that of `reference`.
@@ -229,4 +237,6 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Callable[[s
             row = {"preset": preset, "scene": name, "source": chosen, "width": size[0], "height": size[1]}
             errors = picture_errors(pictures[preset], pictures["reference"])
             rows.append(row | times[preset].metrics("frame") | {f"error.{k}": v for k, v in errors.items()})
+        if keep:
+            keep({"rows": rows})
     return {"rows": rows}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,9 @@ HEAT_MAP = ("1080p", 1000, 16)
 QUICK_HEAT_MAP = ("quick", 50, 16)
 
 
-def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Record:
+def run(
+    device: wp.Device, *, quick: bool, settings: Settings, note: Any, keep: Callable[[Record], Any] | None = None
+) -> Record:
     """Time every combination.
 
     Args:
@@ -34,12 +37,13 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
         quick: Small cases and few repeats.
         settings: Settings of all cases but the tile size.
         note: Function of a text that tells how far it is.
+        keep: Called with what is there after each combination, so that nothing measured is lost.
 
     Returns:
         One row a combination, and the lights of each tile of one of them as a heat map.
     """
     rows: list[dict[str, Any]] = []
-    heat_map: dict[str, Any] = {}
+    result: Record = {"mean": MEAN, "rows": rows}
     for lights in QUICK_LIGHTS if quick else TILE_LIGHTS:
         scene = many_lights(lights, MEAN, quick=quick)
         for name, size in (QUICK_RESOLUTIONS if quick else RESOLUTIONS).items():
@@ -54,10 +58,12 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any) -> Rec
                 row |= {"tile.lights_mean": round(float(counts.mean()), 3), "tile.lights_max": int(counts.max())}
                 rows.append(row)
                 if (name, lights, tile) == (QUICK_HEAT_MAP if quick else HEAT_MAP):
-                    heat_map = {k: row[k] for k in ("resolution", "width", "height", "lights", "tile_size")}
-                    heat_map["counts"] = [" ".join(map(str, line)) for line in counts.tolist()]
-    counts_text = heat_map.pop("counts")
-    return {"mean": MEAN, "heat_map": heat_map, "heat_map_counts": counts_text, "rows": rows}
+                    head = ("resolution", "width", "height", "lights", "tile_size")
+                    result["heat_map"] = {key: row[key] for key in head}
+                    result["heat_map_counts"] = [" ".join(map(str, line)) for line in counts.tolist()]
+                if keep:
+                    keep(result)
+    return result
 
 
 def read_heat_map(record: Record) -> np.ndarray:

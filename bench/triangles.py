@@ -5,6 +5,7 @@ Terrain: the whole compact G-buffer (clear, cull, raster, resolve). The others: 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import warp as wp
@@ -22,7 +23,15 @@ QUICK_SIZE = (160, 90)
 VISIBILITY = ("clusters", "raster")
 
 
-def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, only: str = "") -> Record:
+def run(
+    device: wp.Device,
+    *,
+    quick: bool,
+    settings: Settings,
+    note: Any,
+    only: str = "",
+    keep: Callable[[Record], Any] | None = None,
+) -> Record:
     """Time every case.
 
     Args:
@@ -31,17 +40,20 @@ def run(device: wp.Device, *, quick: bool, settings: Settings, note: Any, only: 
         settings: Settings of all cases.
         note: Function of a text that tells how far it is.
         only: Name of the one case wanted.
+        keep: Called with what is there after each case, so that nothing measured is lost.
 
     Returns:
         Copy bandwidth and one row a case.
     """
     bandwidth = copy_bandwidth(device)
-    rows = []
+    result: Record = {"copy_bytes_per_s": round(bandwidth), "rows": []}
     for case in TRIANGLE_CASES:
         if not only or only == case.name:
             note(case.title)
-            rows.append(_row(case, device, quick, settings, bandwidth))
-    return {"copy_bytes_per_s": round(bandwidth), "rows": rows}
+            result["rows"].append(_row(case, device, quick, settings, bandwidth))
+            if keep:
+                keep(result)
+    return result
 
 
 def _row(case: TriangleCase, device: wp.Device, quick: bool, settings: Settings, bandwidth: float) -> dict[str, Any]:

@@ -224,3 +224,23 @@ def test_preview_writes_every_case(tmp_path, capsys):
     assert {f"triangles_{case.name}.png" for case in cases.TRIANGLE_CASES} < names
     assert {"frame_quick.png", "lights_10.png"} < names
     assert capsys.readouterr().out.count("wrote ") == len(names)
+
+
+@pytest.mark.parametrize("name", ["lights", "triangles", "frame"])
+def test_an_interrupted_bench_leaves_its_finished_rows(tmp_path, monkeypatch, name):
+    module, seen = importlib.import_module(f"bench.{name}"), []
+
+    def row(*arguments):
+        if seen:
+            raise KeyboardInterrupt
+        seen.append({"row": len(seen)})
+        return seen[-1]
+
+    monkeypatch.setattr(module, "frame_row" if name == "frame" else "_row", row)
+    if name == "frame":
+        case = cases.frame_cases(False, quick=True)[0]
+        monkeypatch.setattr(module, "frame_cases", lambda *arguments, **options: [case, case])
+    path = tmp_path / "part.json"
+    assert main([name, "--device", "cpu", "--quick", "--json", str(path)]) not in (0, 1)
+    result = record.read(path)
+    assert result["rows"] == seen and seen and result["bench"] == name
