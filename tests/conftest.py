@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-# Profiles of the property tests: --hypothesis-profile=stress draws thousands anew.
+# Profiles of the property tests: --hypothesis-profile=stress draws thousands anew, `few` is for slow tools.
 hypothesis.settings.register_profile("ci", max_examples=20, derandomize=True, deadline=None, print_blob=True)
 hypothesis.settings.register_profile("stress", max_examples=1000, deadline=None, print_blob=True)
+hypothesis.settings.register_profile("few", max_examples=2, derandomize=True, deadline=None, print_blob=True)
 hypothesis.settings.load_profile("ci")
 
 ASSETS = Path(__file__).resolve().parents[2] / "shared" / "assets"

@@ -6,8 +6,8 @@ kernels are compiled (`pytest -m gpu --junitxml RUN.xml`):
 The tests marked `gpu`, but for those of LEFT_OUT, are cut into jobs of a few each, and every job runs under every tool
 in a process of its own: workers of pytest-xdist under one sanitizer do not all report, and a device that one test broke
 is broken for the rest of its process. Prints what each tool found; exit code 1 if one found anything, a test failed, or
-time ran out. OUT.json is written job by job, and `--resume OUT.json` goes on with what it lacks.
-`python -m tests.stability_page --sanitizer OUT.json` records it.
+time ran out. OUT.json is written job by job, and `--resume OUT.json` goes on with what it lacks: tests/sanitizer.json
+is what is known so far. `python -m tests.stability_page --sanitizer OUT.json` puts it on the page.
 
 Warp's memory pools are off, so that every array is an allocation of its own: an access just past one is then seen, and
 memory that another array wrote is not taken for written. It also keeps memcheck from calling accesses of conditional
@@ -20,7 +20,6 @@ import argparse
 import concurrent.futures
 import dataclasses
 import datetime
-import itertools
 import json
 import os
 import re
@@ -50,8 +49,8 @@ LEFT_OUT = {
     "tests/test_long_runs.py": "thousands of frames, and memory counted",
     "tests/test_determinism.py::test_e8_processes_and_an_empty_kernel_cache_agree": "compiles every kernel anew",
 }
-#: Tests of a job.
-MOST_TESTS = 10
+#: Tests of a job, and how long they may take without a sanitizer, which may make a hundred times that of it [s].
+MOST_TESTS, MOST_SECONDS = 10, 4.0
 SUMMARY = re.compile(r"(?:ERROR SUMMARY: (\d+) error)|(?:RACECHECK SUMMARY: (\d+) hazard)")
 FINDING = re.compile(
     r"^========= ((?:Invalid|Error|Warning|Uninitialized|Misaligned|Program hit|Race|Out-of|Leaked|Host API|Internal)"
@@ -120,16 +119,23 @@ def collect(more: list[str]) -> list[str]:
     return [name for name in names if not any(name.startswith(left) for left in LEFT_OUT)]
 
 
-def jobs(names: Iterable[str], times: Mapping[str, float] | None = None) -> list[tuple[str, ...]]:
-    """Cut tests into jobs, each of one file; what takes longest comes first, for it would end last.
+def jobs(names: Iterable[str], times: Mapping[str, float]) -> list[tuple[str, ...]]:
+    """Cut tests into jobs, each of one file.
 
     Args:
         names: The tests, file by file.
-        times: Test -> how long it takes [s]; alike if left out.
+        times: Test -> how long it takes without a sanitizer [s]; half a second where it is not known.
     """
-    files = [tuple(group) for _, group in itertools.groupby(names, key=lambda name: name.partition("::")[0])]
-    cut = [file[k : k + MOST_TESTS] for file in files for k in range(0, len(file), MOST_TESTS)]
-    return sorted(cut, key=lambda job: -sum((times or {}).get(name, 1.0) for name in job))
+    result: list[list[str]] = []
+    taken, last = 0.0, ""
+    for name in names:
+        file, seconds = name.partition("::")[0], times.get(name, 0.5)
+        if file != last or len(result[-1]) == MOST_TESTS or taken + seconds > MOST_SECONDS:
+            result.append([])
+            taken, last = 0.0, file
+        result[-1].append(name)
+        taken += seconds
+    return [tuple(job) for job in result]
 
 
 def read_times(path: Path) -> dict[str, float]:
@@ -149,7 +155,8 @@ def watch(tool: str, names: tuple[str, ...], timeout: float) -> dict[str, Any]:
         command = ["compute-sanitizer", "--tool", tool, "--target-processes", "all", "--print-limit", "20"]
         command += ["--show-backtrace", "device", "--log-file", str(folder / "%p.log")]
         command += [sys.executable, "-m", "pytest", "-q", "--require-cuda", "--tb=line", "-p", "no:cacheprovider"]
-        command += [f"--junitxml={folder / 'tests.xml'}", *names]
+        # A few draws of each property reach the kernels that many do.
+        command += ["--hypothesis-profile=few", f"--junitxml={folder / 'tests.xml'}", *names]
         process = subprocess.Popen(
             command, cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
             env=os.environ | {"WARP_ENABLE_MEMPOOLS_AT_INIT": "0"},
@@ -167,6 +174,7 @@ def watch(tool: str, names: tuple[str, ...], timeout: float) -> dict[str, Any]:
         "tool": tool, "tests": list(names), "found": found, "processes": processes, "passed": passed, "failed": failed,
         "unseen": 0 if seen else len(names) - passed - failed - skipped or len(names), "kinds": list(kinds),
         "words": lines[:10] if failed or not seen else [], "seconds": round(time.monotonic() - start, 1),
+        "commit": os.environ.get("WD_COMMIT", ""),
     }  # fmt: skip
 
 
@@ -193,11 +201,13 @@ def record(path: Path, tools: list[str], names: list[str], done: list[dict[str, 
         outcomes.append(outcome(tool, done, len(names) - begun))
     head = {
         "device": wp.get_device("cuda:0").name, "warp": wp.config.version,
-        "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}", "commit": os.environ.get("WD_COMMIT", ""),
+        "date": f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}",
+        "commit": ", ".join(sorted({job["commit"] for job in done})),
     }  # fmt: skip
     by_tool = {o.tool: dataclasses.asdict(o) | {"looks_for": TOOLS[o.tool], "clean": o.clean} for o in outcomes}
-    text = json.dumps(head | {"left_out": LEFT_OUT, "tools": by_tool, "jobs": done}, indent=1)
-    path.with_suffix(".part").write_text(text + "\n")
+    text = json.dumps(head | {"left_out": LEFT_OUT, "tools": by_tool}, indent=1).removesuffix("\n}")
+    lines = ",\n  ".join(json.dumps(job) for job in done)
+    path.with_suffix(".part").write_text(f'{text},\n "jobs": [\n  {lines}\n ]\n}}\n')
     path.with_suffix(".part").replace(path)
     return outcomes
 
@@ -208,8 +218,10 @@ def run(tools: list[str], names: list[str], options: argparse.Namespace) -> list
     done = json.loads(options.resume.read_text())["jobs"] if options.resume else []
     done = [job for job in done if not job["unseen"] and job["tool"] in tools and set(job["tests"]) <= set(names)]
     seen = {(job["tool"], name) for job in done for name in job["tests"]}
-    times = read_times(options.times) if options.times else None
-    waiting = [(t, job) for job in jobs(names, times) for t in tools if not all((t, name) in seen for name in job)]
+    times = read_times(options.times) if options.times else {}
+    waiting = [(t, job) for t in tools for job in jobs((n for n in names if (t, n) not in seen), times)]
+    # What takes longest comes first, for it would end last.
+    waiting.sort(key=lambda pair: -sum(times.get(name, 0.5) for name in pair[1]))
     lock = threading.Lock()
     outcomes = record(options.json, tools, names, done)
 

@@ -210,6 +210,26 @@ def test_what_is_left_of_a_budget_could_buy_next_to_nothing():
     assert len(shares) >= 15 and np.median(shares) > 0.9
 
 
+@pytest.mark.parametrize(("taken", "bought"), [(3.9, "samples_4"), (4.02, "off")])
+def test_what_may_be_predicted_too_high_is_looked_at_where_it_promises_much(taken, bought):
+    times = {"off": 1.0, "samples_4": taken}
+    looks = []
+    probe = SimpleNamespace(
+        device=SimpleNamespace(is_cuda=True), now_s=0.0, animate=lambda moment: None,
+        rmse=lambda truth: {"off": 0.1, "samples_4": 0.02}[looks[-1]],
+        frames=lambda first, count: [times[looks[-1]]] * count,
+    )  # fmt: skip
+    surveyor = SimpleNamespace(
+        probe=probe, samples=64, look=lambda title, choice: looks.append(choice["anti_aliasing"])
+    )
+    errors = {("off", "off"): 0.1, ("off", "samples_4"): 0.02, ("off", "samples_8"): 0.01}
+    market = Market(Grid({("off", 1): 1.0, ("off", 4): 4.08, ("off", 8): 8.2}, errors), ())
+    chosen = Chooser(market, surveyor, None, 4.0, None, 64).choose()
+    # Two parts in a hundred past the budget are looked at, twice the budget is not.
+    assert chosen.choice["anti_aliasing"] == bought and chosen.held == 1.0
+    assert set(looks) == {"off", "samples_4"} and looks.count("samples_4") == (2 if bought == "samples_4" else 1)
+
+
 def test_every_number_of_samples_is_for_sale_from_a_few_looks():
     world, eye, survey, market = market_of(3)
     assert {rung for scale, rung in survey.grid.errors if scale == "off"} == set(PIXEL_SAMPLES)

@@ -92,11 +92,12 @@ def test_what_a_sanitizer_and_the_guards_said_shows(tmp_path, monkeypatch):
 
 def test_jobs_of_a_sanitizer_are_of_one_file_and_what_was_not_seen_counts(tmp_path):
     few, many = [f"tests/a.py::t[{k}]" for k in range(3)], [f"tests/b.py::t[{k}]" for k in range(MOST_TESTS + 2)]
-    assert jobs(few + many) == [tuple(many[:MOST_TESTS]), tuple(few), tuple(many[MOST_TESTS:])]
+    quick = dict.fromkeys(few + many, 0.01)
+    assert jobs(few + many, quick) == [tuple(few), tuple(many[:MOST_TESTS]), tuple(many[MOST_TESTS:])]
+    assert jobs(few, quick | {few[1]: 9.0}) == [(few[0],), (few[1],), (few[2],)]
     (tmp_path / "run.xml").write_text(JUNIT.replace('name="test_y"', 'name="test_y" time="2.5"'))
     times = read_times(tmp_path / "run.xml")
     assert times["tests/test_y.py::test_y"] == 2.5 and times["tests/passes/test_x.py::test_r3_x[cpu-1]"] == 0.0
-    assert jobs(few + many, {few[0]: 20.0})[0] == tuple(few)
     seen = {"tool": "memcheck", "tests": few, "found": 0, "processes": 1, "passed": 2, "failed": 0, "unseen": 0,
             "seconds": 2.0, "kinds": []}  # fmt: skip
     bad = seen | {"tests": many[:3], "found": 2, "kinds": ["Invalid read"], "unseen": 1}
