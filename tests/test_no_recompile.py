@@ -1,11 +1,15 @@
 """A frame after the first one only replays: it loads no module, makes no kernel, allocates nothing, builds no plan."""
 
+import threading
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import warp as wp
 from builders import FULL, LAYERS, Spy, assert_same, box, gallery, images, tilt
 
 import warp_deferred as wd
+from warp_deferred.program import Program
 
 
 def renderer_of(scene, device, **fields):
@@ -144,3 +148,45 @@ def test_settings_are_changed_and_prepared_for_a_camera(device):
     with pytest.raises(wd.InputError, match=r"Renderer\.settings: expected a Settings object, got 'str'"):
         renderer.settings = "draft"
     assert renderer.cameras_of(None) == [scene.camera] and renderer.cameras_of([camera, camera]) == [camera] * 2
+
+
+# ---- loading
+
+
+def loading(loads, threads):
+    """A program whose kernels' modules load as told."""
+    program = Program(wp.get_device("cpu"), threads)
+    program.kernels = [
+        (SimpleNamespace(key=f"make__{name}_kernel", module=SimpleNamespace(name=name, load=load)), 64)
+        for name, load in loads.items()
+    ]
+    return program
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_modules_load_as_many_at_a_time_as_there_are_threads(threads):
+    both, told, loaded = threading.Barrier(threads, timeout=20.0), [], []
+
+    def load(device, block_dim):
+        both.wait()
+        loaded.append(block_dim)
+
+    program = loading({name: load for name in ("cull", "raster", "shade", "show")}, threads)
+    program.load(lambda *what: told.append(what))
+    assert told == [("cull", 0, 4), ("raster", 1, 4), ("shade", 2, 4), ("show", 3, 4), ("", 4, 4)] and loaded == [1] * 4
+
+
+def test_a_module_that_does_not_load_is_told_and_the_rest_is_left():
+    loaded = []
+
+    def fail(device, block_dim):
+        raise RuntimeError("no compiler")
+
+    first, rest = {"cull": fail}, {f"k{n}": lambda device, block_dim: loaded.append(1) for n in range(3)}
+    with pytest.raises(RuntimeError, match="no compiler"):
+        loading(first | rest, 1).load()
+    assert not loaded
+    with pytest.raises(RuntimeError, match="no compiler"):
+        loading(first | rest, 2).load()
+    loading(rest, 2).load()
+    assert len(loaded) >= 3

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import concurrent.futures
 import dataclasses
+import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import warp as wp
@@ -270,22 +271,46 @@ class Program:
             main.wait_event(end)
 
     def load(self, progress: Callable[[str, int, int], None] | None = None) -> None:
-        """Compile and load every kernel the program launches, so that capturing and replaying never do."""
+        """Compile and load every kernel the program launches, so that capturing and replaying never do.
+
+        Args:
+            progress: Called with (a kernel that is being loaded, done, all): before the first and after each.
+        """
         pending: dict[tuple[str, int], Any] = {}
         for kernel, block_dim in self.kernels:
             # Without cooperative CPU blocks a launch on the CPU is resolved to a block of one.
             size = 1 if self.device.is_cpu and not wp.config.enable_cpu_blocks else block_dim
             pending[(kernel.module.name, size)] = kernel
-        for done, ((_, block_dim), kernel) in enumerate(pending.items()):
+        names = [kernel.key.split("__")[-1].removesuffix("_kernel") for kernel in pending.values()]
+        if progress and names:
+            progress(names[0], 0, len(names))
+        loads = [functools.partial(kernel.module.load, self.device, size) for (_, size), kernel in pending.items()]
+        for done, _ in enumerate(self._all(loads), 1):
             if progress:
-                progress(kernel.key.split("__")[-1].removesuffix("_kernel"), done, len(pending))
-            kernel.module.load(self.device, block_dim)
-        if progress:
-            progress("", len(pending), len(pending))
+                progress(names[done] if done < len(names) else "", done, len(names))
         if self.device.is_cpu:
             for command in (c for section in self.sections for step in section.steps for c in step):
                 if isinstance(command, _Command):
                     command.record()
+
+    def _all(self, loads: list[Callable[[], Any]]) -> Iterator[None]:
+        """Load modules, on the CPU as many at a time as there are threads; one step for each that is done.
+
+        The compiler runs without the interpreter's lock, and Warp keeps a lock of its own where it generates code.
+        """
+        if self.device.is_cuda or self.threads == 1 or wp.config.mode == "debug":
+            for load in loads:
+                load()
+                yield
+            return
+        futures = [_pool(self.threads).submit(load) for load in loads]
+        try:
+            for future in concurrent.futures.as_completed(futures):
+                future.result()
+                yield
+        finally:
+            for future in futures:
+                future.cancel()
 
     @property
     def parts(self) -> list[tuple[list[Section], int]]:

@@ -7,8 +7,10 @@ which they were loaded from the cache, once a process.
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import os
+import re
 import time
 from collections.abc import Sequence
 from typing import Any
@@ -28,6 +30,8 @@ __all__ = ["FRAME_S", "Probe"]
 FRAME_S = 1.0 / 30.0
 #: A frame that takes longer than this on the CPU is its own price [ms]: memory that is new to it then matters little.
 CPU_ONCE_MS = 2_000.0
+#: Ends of the names of folders that Warp builds modules in: process and thread.
+UNFINISHED = re.compile(r"_p\d+_t\d+$")
 #: Frames as they come that make a price.
 FEW = 5
 
@@ -89,17 +93,16 @@ class Probe:
         begun: list[tuple[float, int]] = []
 
         def advance(kernel: str, done: int, total: int) -> None:
-            now, folder = time.perf_counter(), _modified()
+            now, kept = time.perf_counter(), _kept_modules()
             if begun:
                 last, known = begun.pop()
-                # Warp renames what it has built into the cache, which marks the folder.
-                if folder != known:
-                    self.compiled += 1
+                if kept > known:
+                    self.compiled += kept - known
                     self.compile_s += now - last
                 else:
                     self.load_s += now - last
             if done < total:
-                begun.append((now, folder))
+                begun.append((now, kept))
 
         self.renderer.prepare(advance, camera=self.cameras)
 
@@ -185,9 +188,15 @@ class Probe:
             self.animate(self.now_s)
 
 
-def _modified() -> int:
-    """When something was last put into Warp's cache of kernels."""
+def _kept_modules() -> int:
+    """How many modules Warp's cache of kernels holds: a folder each, but for those still being built."""
     try:
-        return os.stat(wp.config.kernel_cache_dir).st_mtime_ns
+        return _count(wp.config.kernel_cache_dir, os.stat(wp.config.kernel_cache_dir).st_mtime_ns)
     except OSError:
         return 0
+
+
+@functools.lru_cache(1)
+def _count(folder: str, modified: int) -> int:
+    """Count a folder's modules anew when it was modified."""
+    return sum(not UNFINISHED.search(name) for name in os.listdir(folder))
