@@ -184,6 +184,25 @@ def test_frames_are_rendered_at_their_times(fake, scene, tmp_path, capfd):
 
 
 @pytest.mark.parametrize(
+    ("more", "shutter", "before"),
+    [(["-o", "a.png"], 0.5, True), (["-o", "a.exr", "--layers", "motion"], 0.0, True), (["-o", "a.exr"], 0.0, False)],
+)
+def test_what_moves_is_seen_moving_in_a_still_and_in_the_first_of_many(
+    fake, scene, tmp_path, capfd, monkeypatch, more, shutter, before
+):
+    monkeypatch.chdir(tmp_path)
+    times = []
+    scene.cameras = [wd.Camera(shutter=shutter)]
+    scene.animate = lambda s, time: times.append(time)
+    assert run(capfd, "render", "x", "--size", "2x2", "--fps", "10", *more)[0] == 0
+    assert times == pytest.approx([-0.1, 0.0] if before else []) and fake.made[0].count == 1 + before
+    many = [word.replace("a.", "%d.") for word in more]
+    times.clear()
+    assert run(capfd, "render", "x", "--size", "2x2", "--fps", "10", "--frames", "3:5", *many)[0] == 0
+    assert times == pytest.approx([*([0.2, 0.3] if before else []), 0.3, 0.4]) and fake.made[1].count == 2 + before
+
+
+@pytest.mark.parametrize(
     ("pattern", "name"),
     [("%d", "7"), ("%04d", "0007"), ("{frame}", "7"), ("{frame:03d}", "007"), ("{frame:03}", "007"), ("%dx%d", "7x7")],
 )

@@ -189,14 +189,19 @@ def _write(renderer: Any, files: list[Path], frames: range | None, rate: float, 
     """Render one frame, or each of several at its own time, into the files; returns those written."""
     from .cli_arguments import frame_path
 
-    written: list[Path] = []
+    written, scene = [], renderer.scene
+    if scene.animate is not None and (scene.camera.shutter > 0.0 or "motion" in renderer.outputs):
+        first = frames[0] if frames is not None else 0  # nothing moves in it unless a frame comes before
+        scene.animate(scene, (first - 1) / rate)
+        renderer.render()
+        scene.animate(scene, first / rate)
     if frames is None:
         frame = renderer.render()
         for file in files:
             written += frame.save(file)
         return written
     for number in _track(frames, "rendering", quiet):
-        renderer.scene.animate(renderer.scene, number / rate)
+        scene.animate(scene, number / rate)
         frame = renderer.render()
         for file in files:
             written += frame.save(frame_path(file, number))
