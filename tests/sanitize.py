@@ -216,7 +216,9 @@ def run(tools: list[str], names: list[str], options: argparse.Namespace) -> list
     """Run what has not been seen yet, every job under every tool, until the time is over."""
     ends = time.monotonic() + options.timeout
     done = json.loads(options.resume.read_text())["jobs"] if options.resume else []
-    done = [job for job in done if not job["unseen"] and job["tool"] in tools and set(job["tests"]) <= set(names)]
+    # What found or failed something is run again: it may be mended.
+    done = [job for job in done if job["tool"] in tools and set(job["tests"]) <= set(names)
+            and not (job["found"] or job["failed"] or job["unseen"])]  # fmt: skip
     seen = {(job["tool"], name) for job in done for name in job["tests"]}
     times = read_times(options.times) if options.times else {}
     waiting = [(t, job) for t in tools for job in jobs((n for n in names if (t, n) not in seen), times)]
