@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import json
 import platform
+from types import SimpleNamespace
 
 import pytest
+import sanitize
 import stability_page
 import warp as wp
 from mutations import Mutation, mutations, try_mutation
@@ -105,6 +107,31 @@ def test_jobs_of_a_sanitizer_are_of_one_file_and_what_was_not_seen_counts(tmp_pa
     whole = outcome("memcheck", [seen, bad, other], 5)
     assert whole == Outcome("memcheck", 2, 2, 4, 0, 6, 4.0, (f"Invalid read ({many[0]})",)) and not whole.clean
     assert outcome("racecheck", [seen, bad, other], 0).clean
+
+
+def test_a_run_under_a_sanitizer_goes_on_with_what_was_not_seen(tmp_path, monkeypatch):
+    asked, names = [], [f"tests/a.py::t[{k}]" for k in range(3)]
+
+    def watch(tool, job, timeout):
+        asked.append(job)
+        bad = int(names[1] in job and len(asked) < 3)
+        return {"tool": tool, "tests": list(job), "found": bad, "processes": 1, "passed": len(job), "failed": 0,
+                "unseen": 0, "seconds": 1.0, "kinds": ["Invalid read"] * bad, "words": [], "commit": "c"}  # fmt: skip
+
+    monkeypatch.setattr(sanitize, "watch", watch)
+    monkeypatch.setattr(sanitize, "MOST_TESTS", 1)
+    monkeypatch.setattr(wp, "get_device", lambda name: SimpleNamespace(name="a GPU"))
+    path = tmp_path / "out.json"
+    options = SimpleNamespace(timeout=9.0, job_timeout=9.0, resume=None, times=None, processes=1, json=path)
+    first = sanitize.run(["memcheck"], names[:2], options)[0]
+    assert (first.passed, first.found, first.unseen) == (2, 1, 0) and not first.clean
+    options.resume = path
+    # What was clean is not run again; what found something is, and so is what is new.
+    second = sanitize.run(["memcheck"], names, options)[0]
+    assert second.clean and second.passed == 3 and asked == [(n,) for n in (*names[:2], *names[1:])]
+    options.timeout = 0.0
+    options.resume = None
+    assert sanitize.run(["memcheck"], names, options)[0].unseen == 3
 
 
 def test_the_record_says_where_it_ran(device, record_property):
