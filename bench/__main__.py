@@ -89,12 +89,12 @@ def _bench(
     plot: str | None,
     quick: bool,
     sets: list[str] | None,
-    keeps: bool = False,
+    keeps: bool = True,
     **more: Any,
 ) -> None:
     """Run the bench of that name and write what was asked for; the table to stdout where nothing was.
 
-    With `keeps` the bench can hand over what is there as it comes.
+    With `keeps` the bench hands over what is there as it comes; the others have their rows at the end alone.
     """
     import importlib
 
@@ -119,7 +119,7 @@ def tiles(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """Tile size by number of lights by resolution: culling, shading, lights per tile."""
-    _bench("tiles", device, json, plot, quick, set_, keeps=True)
+    _bench("tiles", device, json, plot, quick, set_)
 
 
 @app.command()
@@ -138,7 +138,7 @@ def triangles(
 
     if only:
         check_choice("--only", only, [case.name for case in TRIANGLE_CASES])
-    _bench("triangles", device, json, plot, quick, set_, only=only, keeps=True)
+    _bench("triangles", device, json, plot, quick, set_, only=only)
 
 
 @app.command()
@@ -146,7 +146,7 @@ def lights(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """1 to 10 000 lights of which 5, 20 and 80 reach a pixel; brute force beside."""
-    _bench("lights", device, json, plot, quick, set_, keeps=True)
+    _bench("lights", device, json, plot, quick, set_)
 
 
 @app.command()
@@ -159,7 +159,7 @@ def frame(
     huge: Annotated[bool, typer.Option("--huge", help="Render 16384x16384 pixels, too (about 10 GB).")] = False,
 ) -> None:
     """Whole frames, pass by pass, as multiples of their memory floor."""
-    _bench("frame", device, json, plot, quick, set_, huge=huge, keeps=True)
+    _bench("frame", device, json, plot, quick, set_, huge=huge)
 
 
 Case = Annotated[str, typer.Option("--only", metavar="CASE", help="Run this case alone, such as bloom.")]
@@ -178,7 +178,7 @@ def effects(
 ) -> None:
     """What each rung of each effect costs and how far it is from its reference; frames with several effects."""
     _check_case(only, "frames")
-    _bench("effects", device, json, plot, quick, set_, only=only, keeps=True)
+    _bench("effects", device, json, plot, quick, set_, only=only)
 
 
 @app.command()
@@ -197,7 +197,7 @@ def accuracy(
     from .ladders import narrowed
 
     narrowed(only)  # before minutes of measuring, not after
-    _bench("accuracy", device, json, plot, quick, set_, only=only, images=images, keeps=True)
+    _bench("accuracy", device, json, plot, quick, set_, only=only, images=images)
 
 
 def _check_case(only: str, *more: str) -> None:
@@ -240,13 +240,13 @@ def host(
     device: Device = "cuda:0", json: Json = None, plot: Plot = None, quick: Quick = False, set_: Sets = None
 ) -> None:
     """What one `render` with a new camera costs the calling thread."""
-    _bench("host", device, json, plot, quick, set_)
+    _bench("host", device, json, plot, quick, set_, keeps=False)
 
 
 @app.command()
 def guards(device: Device = "cuda:0", json: Json = None, quick: Quick = False, set_: Sets = None) -> None:
     """What the tests and clamps against bad input, which are always on, cost a frame."""
-    _bench("guards", device, json, None, quick, set_)
+    _bench("guards", device, json, None, quick, set_, keeps=False)
 
 
 @app.command()
@@ -265,7 +265,7 @@ def peers(
     from .peers.cases import narrowed
 
     narrowed(only, not device.startswith("cpu"), quick=quick)  # before minutes of measuring, not after
-    _bench("peers", device, json, plot, quick, set_, only=only, images=preview, keeps=True)
+    _bench("peers", device, json, plot, quick, set_, only=only, images=preview)
 
 
 @app.command()
@@ -284,7 +284,7 @@ def scaling(
 
     if only:
         check_choice("--only", only, [axis.name for axis in AXES])
-    _bench("scaling", device, json, plot, quick, set_, only=only, keeps=True)
+    _bench("scaling", device, json, plot, quick, set_, only=only)
 
 
 @app.command()
@@ -315,7 +315,7 @@ def report(
 @app.command()
 def fit(device: Device = "cuda:0", json: Json = None, quick: Quick = False, set_: Sets = None) -> None:
     """How long a fit takes, whether its choice keeps the budget, and how near it is to the best there is."""
-    _bench("fit", device, json, None, quick, set_, keeps=True)
+    _bench("fit", device, json, None, quick, set_)
 
 
 @app.command()
@@ -336,7 +336,7 @@ def presets(
     from .record import ROOT
 
     if measure or json is not None:
-        _bench("presets", device, json, None, quick, None, keeps=True)
+        _bench("presets", device, json, None, quick, None)
         return
     changed = bench.write(ROOT, from_, None if out is None else Path(out), check=check)
     if changed is not None:

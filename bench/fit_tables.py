@@ -12,8 +12,7 @@ __all__ = ["fit_table", "presets_table"]
 SECONDS, RATIO, LEFT = 3.0, 1.15, 0.1
 #: Scenes these are stated for.
 STATED = ("hundred_lights",)
-
-
+#: What the table of seconds says.
 SECONDS_TEXT = (
     "Time a fit takes: with all kernels loaded, and with prices it has measured before; in a process of its own, which "
     "finds its kernels compiled and loads them, from the call on and with the interpreter's start and imports; and the "
@@ -62,8 +61,8 @@ def fit_table(record: Record) -> str:
     ]  # fmt: skip
     tried = " ".join(_tried(row) for row in {row["scene"]: row for row in record["rows"]}.values())
     return "\n\n".join([
-        markdown(columns, lines), tried, SECONDS_TEXT,
-        markdown(["scene", *columns_s], seconds), "Settings, as far as they are not the defaults:",
+        markdown(columns, lines), tried, SECONDS_TEXT, markdown(["scene", *columns_s], seconds),
+        "Settings, as far as they are not the defaults:",
         markdown(bought, words), "\\* on one H200.",
     ])  # fmt: skip
 

@@ -30,7 +30,7 @@ from .model import Grid, LadderPrices, Offer, Survey
 __all__ = ["FORMAT", "folder", "load", "save", "signature"]
 
 #: Number of the file's layout; files of another one are not read.
-FORMAT = 2
+FORMAT = 3
 
 
 def folder() -> Path:

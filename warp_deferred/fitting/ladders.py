@@ -5,8 +5,8 @@ themselves say how many, and those of one frame are the same ones (a sample is a
 once), so that the largest number counts. What is not here is not bought: sizes of shadow maps, radii and the like are
 the user's. Normals of fewer bits than `oct24` are left out, for they cost the same bytes, and so is `float32` in a
 compact G-buffer, whose other rounding errors are larger, and `fused` arithmetic, which is off by as much as `fast` is
-and spares half as much. Amounts of what a rung does are rungs of their own where more
-of it buys accuracy: 6 to 8 steps in place of 3 take a tenth off the error of `gtao`, more slices take nothing.
+and spares half as much. Amounts of what a rung does are rungs of their own where more of it buys accuracy: 6 to 8 steps
+in place of 3 take a tenth off the error of `gtao`, more slices take nothing.
 """
 
 from __future__ import annotations
