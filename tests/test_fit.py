@@ -367,6 +367,8 @@ def test_a_fit_of_a_small_scene(device, tmp_path):
     assert bought.met == (bought.held >= 0.95) and bought.ms.count == choose.UNSEEN[kind] and not bought.cached
     assert 0.0 <= bought.error < 0.2 and bought.budget_ms == 60.0
     assert bought.settings.shadow.rung == "off" and any("held as set: shadow" in note for note in bought.notes)
+    alike = any("arithmetic (fast and precise arithmetic are one on a CPU)" in note for note in bought.notes)
+    assert alike == (device == "cpu")
     assert seen and all(0 <= done <= total for _, done, total in seen)
     text = str(bought)
     assert "the budget " in text and "0.1 ms more" in text and "anti_aliasing" in text

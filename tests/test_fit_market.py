@@ -251,6 +251,18 @@ def test_every_number_of_samples_is_for_sale_from_a_few_looks():
     assert market.predict(choice)[1] < one[1]
 
 
+def test_fast_arithmetic_is_for_sale_beside_the_precise_one_that_all_others_are_measured_with():
+    world, eye, survey, market = market_of(4)
+    ladder = next(ladder for ladder in survey.ladders if ladder.name == "arithmetic")
+    fast, precise = ladder.offers
+    # Prices are differences of frames that vary by 0.3 %.
+    saved = world.ms["arithmetic", "precise"] - world.ms["arithmetic", "fast"]
+    assert (precise.ms, precise.error) == (0.0, 0.0) and fast.rung == "fast"
+    assert fast.ms == pytest.approx(-saved, abs=0.01 * world.time(*eye.at({}))) and 0.0 < fast.error < 1e-4
+    assert eye.at({})[0]["arithmetic"] == "precise"
+    assert "arithmetic" in market_of(4, held=["shade.arithmetic=fast"])[1].fixed
+
+
 def test_amounts_that_are_set_by_hand_are_held_and_the_rest_is_for_sale():
     _, eye, survey, _ = market_of(1, held=["ambient_visibility.steps=2", "shadow.samples=64"])
     rungs = {ladder.name: [rung.name for rung in ladder.rungs] for ladder in eye.ladders}
