@@ -252,7 +252,7 @@ def test_every_number_of_samples_is_for_sale_from_a_few_looks():
 
 
 def test_fast_arithmetic_is_for_sale_beside_the_precise_one_that_all_others_are_measured_with():
-    world, eye, survey, market = market_of(4)
+    world, eye, survey, _ = market_of(4)
     ladder = next(ladder for ladder in survey.ladders if ladder.name == "arithmetic")
     fast, precise = ladder.offers
     # Prices are differences of frames that vary by 0.3 %.
